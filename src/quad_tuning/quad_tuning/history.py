@@ -49,9 +49,8 @@ class GainSet:
     update: str = ''
     """Name of its update; sets of one update are its steps."""
     outcome: str = 'in flight'
-    """Outcome: `found` on the STM32, `in flight`, `unfinished` (its end was not
-    recorded), `confirmed`,
-    `not flown` (confirmed on the ground), `passed` on the way, `rolled back`, ..."""
+    """Outcome: `found` on the STM32, `in flight`, `unfinished` (its end was not recorded),
+    `confirmed`, `not flown` (confirmed on the ground), `passed` on the way, `rolled back`, ..."""
     reason: str = ''
 
 

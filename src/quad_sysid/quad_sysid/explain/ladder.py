@@ -196,7 +196,7 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
-    climb, equal = _Climb(projection, search, parts, lowest.total), np.ones_like(lowest.missed)
+    climb, equal = _Climb(models, search, parts, lowest.total), np.ones_like(lowest.missed)
     while (rungs[-1].explains_pct < ENOUGH and not ladder.slight(rungs[-1].missed[None], equal)[0]
            and len(rungs) <= MOST_RUNGS):
         last = rungs[-1]
@@ -236,13 +236,12 @@ def _believed(model: Projected) -> bool:
 class _Climb:
     """The step from a rung to the next one."""
 
-    def __init__(self, projection: Projection, search: SearchResult, parts: Sequence[Part],
+    def __init__(self, models: Models, search: SearchResult, parts: Sequence[Part],
                  whole: float) -> None:
-        self.projection, self.parts, self.whole = projection, parts, whole
+        self.models, self.projection = models, models.projection
+        self.parts, self.whole = parts, whole
         self.scores = {frozenset(scored.fit.structure.labels): scored.score
                        for scored in search.all}
-        self.fits = {frozenset(scored.fit.structure.labels): scored.fit
-                     for scored in reversed(search.all)}
         self.left_out: set[str] = set()
         """Labels of what runs away beside the rung, or explains too little of the rest."""
 
@@ -281,17 +280,17 @@ class _Climb:
         projection, structure = self.projection, model.structure.plus(part)
         if set(structure.labels) == set(projection.reference.structure.labels):
             return projection.ordered(structure)
-        starts = [np.insert(model.theta, -projection.noise.size, values)]
-        fitted = self.fits.get(frozenset(structure.labels))
+        start = np.insert(model.theta, -projection.noise.size, values)
+        fitted = self.models.best_fits.get(tuple(sorted(structure.labels)))
         if fitted is not None:  # by the search, perhaps where the base alone does not lead
             own = {other.effect.label: fitted.theta[where]
                    for other, where in fitted.structure.effects()}
-            starts.append(np.concatenate([fitted.theta[: projection.base],
-                                          *(own[label] for label in structure.labels),
-                                          projection.noise]))
-        nearer = min((projection.project(structure, start, most=0) for start in starts),
-                     key=lambda trial: trial.total)
-        return projection.project(structure, nearer.theta, coarse=True)
+            searched = np.concatenate([fitted.theta[: projection.base],
+                                       *(own[label] for label in structure.labels),
+                                       projection.noise])
+            start = min((start, searched), key=lambda theta: projection.project(
+                structure, theta, most=0).total)
+        return projection.project(structure, start, coarse=True)
 
     def promising(self, model: Projected, parts: Sequence[Part]) -> list[tuple[Part, FloatArray]]:
         """The named laws and the effects of the reference that explain most of the missing torque.
