@@ -4,7 +4,8 @@
 are stand-ins that speak when the walk says so. In every state that can be reached:
 
 1. What the STM32 flies is a set that the gate has let through whole, inside its bounds, by no more
-   than the largest step from the set before, with the polarity of its axis known.
+   than the largest step from the set before (or one that flew well), with the polarity of its axis
+   known.
 2. An update is refused in every state but IDLE, and a NaN in all. Its next step waits for the end
    of an excitation.
 3. Alarmed, gestured at or asked back, a set in flight goes back; it is not confirmed. Killed, in
@@ -395,6 +396,26 @@ def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_
     assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (False, True, True)
     bench.flags = f.Flag.ARMED
     bench.until('step 2 of 2')
+
+
+def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(tmp_path):
+    bench = Bench(tmp_path)
+    bench.flags = f.Flag.ARMED
+    for value, steps in ((0.12, 1), (0.45, 2)):
+        bench.gains.ask({'roll.rate.kp': value}, bench.now_s)
+        bench.until(f'step {steps} of {steps}')
+        bench.until('confirmed')
+    for value, more, steps in (
+        (0.12, {}, 2), (0.119, {'rollback': True}, 2), (0.12, {'rollback': True}, 1),
+    ):  # fmt: skip
+        words = bench.gains.ask({'roll.rate.kp': value, **more}, bench.now_s)
+        assert f'in {steps} steps' in words
+        bench.until('in force')
+        if steps > 1:
+            bench.gains.ask({'rollback': True}, bench.now_s)
+            bench.until('read back')
+    assert bench.stm32.of([KP]) == pytest.approx((0.12,))
+    bench.until('confirmed')
 
 
 def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):

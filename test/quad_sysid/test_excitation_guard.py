@@ -34,8 +34,10 @@ REASONS = [
     ({'sticks': (0.0, 0.0, -0.15)}, 'the yaw stick', False),
     ({'sticks': (math.nan, 0.0, 0.0)}, 'the roll stick', False),
     ({'battery_v': 10.1}, 'battery at 10.10 V', False),
-    ({'refused': True}, 'the STM32 refuses the excitation', True),
-    ({'refused': True, 'battery_v': 8.73}, 'low battery (8.73 V)', True)]
+    ({'refused': 'excitation_refused'}, 'the STM32 refuses the excitation: it is disarmed', True),
+    ({'refused': 'rc_kill excitation_refused'}, "the pilot's kill switch is on", True),
+    ({'refused': 'armed angle_limit excitation_refused'}, 'it is beyond its angle', True),
+    ({'refused': 'armed excitation_refused', 'battery_v': 8.73}, 'low battery (8.73 V)', True)]
 UNHEARD = [
     ({'rc_age_s': None, 'abort_switch': None}, 'no /rc/in yet', False),
     ({'abort_switch': None}, 'no channel of the pilot', False),

@@ -78,7 +78,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._angles: tuple[float, float, float] | None = None
         self._imu_time = self._rc_time = self._volts_time = 0.0
         self._rc = Readings()
-        self._refusal, self._began_s = False, 0.0
+        self._refusal, self._began_s = '', 0.0
         self._volts: deque[float] = deque(maxlen=5)  # the highest counts, a dip is not low
         self._ticks = 0
         self._stall = Stall()
@@ -129,10 +129,10 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def _on_diagnostics(self, message: Any) -> None:
         """Note that the STM32 refuses; what it refused before this segment counts no more."""
         if self._excites and clock().now_s() - self._began_s > REFUSAL_S:
-            self._refusal = any(
-                status.name.endswith(RELAY) and pair.key == FLAGS and REFUSED in pair.value
-                for status in message.status for pair in status.values
-            ) or self._refusal
+            self._refusal = self._refusal or next((
+                pair.value for status in message.status for pair in status.values
+                if status.name.endswith(RELAY) and pair.key == FLAGS and REFUSED in pair.value
+            ), '')
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values for the guard."""
@@ -155,7 +155,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         if not self._now_s():
             return 'time is simulated, and nothing comes on /clock'
         if not self._player.active:
-            self._refusal = False
+            self._refusal = ''
             topic = self._setpoint.topic_name
             if self.count_publishers(topic) > 1:
                 return (f'another node publishes {topic} too: end it first, or wait until '

@@ -9,6 +9,7 @@ The state diagram stands in docs/reference/gain_machines.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -119,6 +120,7 @@ class GainUpdates:
         self._remaining_s = 0.0  # time of flight until the next step, or the confirmation
         self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
+        self._good: list[Mapping[str, float]] = []  # sets that have flown well under this bridge
         self._rate_kp = np.ones(3)
 
     def use(self, protocol: Any) -> None:
@@ -207,6 +209,8 @@ class GainUpdates:
                     reply(True, 'the check was stopped')
                 return 'stopped the check, and dropped what waited for it'
         path = self._admit(request, now_s)
+        if request.rollback and self._has_flown(request.gains):
+            path = [dict(request.gains)]  # at once: its steps would prolong what flies badly
         self.polarity.refuse_faults()
         axes = self.polarity.unchecked(request.gains) if self.protocol.pulses else []
         words = ', '.join(axes)
@@ -221,6 +225,15 @@ class GainUpdates:
             return f'checking the polarity of {words} before the first update'
         self._begin(request, path, reply)
         return f'writing {len(request.gains)} gains of {request.source} in {len(path)} steps'
+
+    def _has_flown(self, gains: Mapping[str, float]) -> bool:
+        """Whether the active set with these gains is one that has flown well."""
+        wanted = {**self.active, **gains}
+        return any(
+            wanted.keys() == good.keys()
+            and all(math.isclose(wanted[n], value, rel_tol=1e-6) for n, value in good.items())
+            for good in self._good
+        )
 
     def _refuse(self, source: str, error: RefusedError) -> None:
         self.refusals += 1
@@ -283,6 +296,7 @@ class GainUpdates:
 
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""
+        self._good.clear()
         self.polarity.load(record)
         self.watch.know(record.get(FLIGHT))
         self._trial = record.get(TRIAL, {})
@@ -360,6 +374,7 @@ class GainUpdates:
             self._looked_s = now_s
             if self.watch.good:
                 self._flown = True
+                self._good.append(dict(self.active))
                 self._history.write('flown')
                 self._history.keep_flight(self.watch.before)
                 self.watch.know(self.watch.before)
@@ -431,6 +446,7 @@ class GainUpdates:
 
     def _confirmed(self, event: GainEvent) -> None:
         self._ended('confirmed', event.reason, flown=True)
+        self._good.append(dict(self.active))
         self._flown = False  # as the next one's "before", which this flight may still give
         self.notes.append(Note(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
         for reply in self._going_back:

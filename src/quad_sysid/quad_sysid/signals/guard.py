@@ -14,6 +14,9 @@ from itertools import chain
 from quad_sysid.contract import AXES
 
 Vector = tuple[float, float, float]
+CAUSES = {'rc_kill': "the pilot's kill switch is on", 'rc_failsafe': 'its receiver is in failsafe',
+          'angle_limit': 'it is beyond its angle', 'motor_test': 'its motors are being tested'}
+"""Flag of the STM32 → why it refuses, the first one that applies."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ class Readings:
     battery_v: float | None = None
     battery_age_s: float | None = None
     """Age of the last voltage that was measured."""
-    refused: bool = False
-    """The STM32 says that it refuses the excitation."""
+    refused: str = ''
+    """Flags of the STM32 as it refused the excitation, with spaces between; empty: it did not."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +86,24 @@ def _lines(limits: Limits, r: Readings) -> Iterator[Abort]:
     if r.rc_age_s is not None and r.rc_age_s > limits.rc_stale_s:
         yield Abort(f'/rc/in is {r.rc_age_s:.2f} s old', immediate=True)
     if r.refused:
-        volts = '' if r.battery_v is None else f' ({r.battery_v:.2f} V)'
-        yield Abort(f'the STM32 refuses the excitation: disarmed, low battery{volts}, beyond its '
-                    'angle or its limits', immediate=True)
+        yield Abort(f'the STM32 refuses the excitation: {_cause(r)}', immediate=True)
     if limits.abort_switch:
         yield from _switch(limits, r)
     if r.imu_age_s is None:
         yield Abort('no /imu/data yet')
     elif r.imu_age_s > limits.imu_stale_s:
         yield Abort(f'/imu/data is {r.imu_age_s:.2f} s old')
+
+
+def _cause(r: Readings) -> str:
+    flags = r.refused.split()
+    for flag, words in CAUSES.items():
+        if flag in flags:
+            return words
+    if 'armed' not in flags:
+        return 'it is disarmed'
+    volts = '' if r.battery_v is None else f' ({r.battery_v:.2f} V)'
+    return f'low battery{volts}, or beyond its limits'
 
 
 def _switch(limits: Limits, r: Readings) -> Iterator[Abort]:
