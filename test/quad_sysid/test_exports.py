@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from quad_sysid.cli import main
 from quad_sysid.estimate.stored import estimate_of
@@ -71,3 +72,14 @@ def test_python_control_has_the_same_system(model, stored, tmp_path):
     assert again.dt == DT
     assert again.input_labels == ['command']
     assert 'coulomb_friction.torque = 0.16 rad/s²' in out.read_text()
+
+
+@pytest.mark.parametrize('form', ['control', 'mat'])
+def test_what_the_data_forbid_goes_with_the_model(model, tmp_path, capsys, form):
+    stored, because = tmp_path / 'model.json', 'the commands predict nothing'
+    save_models({'roll': replace(model, no_gains_because=because)}, stored)
+    out = tmp_path / f'aircraft.{form}'
+    assert main(['export', str(stored), '--to', form, '--out', str(out), '--quiet']) == 0
+    assert f'roll: do not design gains with it: {because}' in capsys.readouterr().err
+    assert because in (out.read_text() if form == 'control' else
+                       str(loadmat(out)['roll']['warning'][0, 0]))

@@ -309,6 +309,7 @@ def test_a_flight_that_cannot_be_answered_says_why(plain_flight, change, words):
     if words:
         assert (answer.verdict, answer.proposal.gains) == ('cannot_tell', None)
         assert words in answer.reason
+        assert answer.model is None or answer.model.no_gains_because == answer.reason
     else:
         assert answer.model.value('gain') == pytest.approx(450.0, rel=0.02)
 

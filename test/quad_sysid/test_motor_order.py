@@ -75,3 +75,4 @@ def test_no_gains_come_of_motors_in_a_wrong_order(change, designer, words):
     assert answer.proposal.gains is None
     assert words in answer.proposal.refused_because
     assert designer or answer.proposal.refused_because in answer.warnings
+    assert designer or words in answer.model.predicting.no_gains_because

@@ -89,6 +89,15 @@ def test_what_no_plant_can_be_is_the_fault_of_a_field(stored, refused, part, row
     )
 
 
+@pytest.mark.parametrize('method', ['pid', 'lqr'])
+def test_no_gains_come_of_a_model_whose_data_forbid_them(stored, refused, method):
+    tree = json.loads(Path(stored).read_text())
+    tree['axes']['roll']['no_gains_because'] = 'the commands predict nothing'
+    Path(stored).write_text(json.dumps(tree))
+    said = refused(main, 'design', stored, '--axis', 'roll', '--method', method, status=3)
+    assert said == 'quad-tune: no gains: roll: the commands predict nothing\n'
+
+
 @pytest.mark.parametrize(
     ('words', 'status', 'said'),
     [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,12 @@ NOTE = (
 )
 
 
+def _warning(model: AxisModel, head: str = '') -> str:
+    """What whoever designs with a model must know of its data, behind a head; '' for nothing."""
+    because = model.no_gains_because
+    return because and f'{head}do not design gains with it: {because}'
+
+
 def as_mat(models: Mapping[str, AxisModel]) -> bytes:
     """All axes as a MATLAB file of version 5: one struct per axis.
 
@@ -73,6 +80,7 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
     for axis, model in models.items():
         content[axis] = {
             **matrices(model), 'outputs': list(OUTPUTS),
+            **({'warning': _warning(model)} if model.no_gains_because else {}),
             'mixer': model.craft.mixer, 'mixer_inverse': model.craft.inverse,
             'base': {p.name: p.value for p in model.base},
             'effects': {e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
@@ -93,6 +101,7 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
             '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
             f'{system["dt_s"]:g} s,'), f'# the delay of {system["delay_s"]:.6g} s as states',
             f'# command = {model.craft.inverse[1 + EVERY[axis].index].tolist()} @ motors',
+            *filter(None, [_warning(model, '# ')]),
             *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
             *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
               for e in model.effects for p in e.parameters),
@@ -183,6 +192,9 @@ def _run(options: argparse.Namespace) -> int:
     suffix = WRITERS[options.to][1]
     out = export(models, options.out or model.with_name(f'{model.stem}_export{suffix}'),
                  options.to)
+    for axis, one in models.items():
+        if _warning(one):
+            print(_warning(one, f'quad-sysid export: {axis}: '), file=sys.stderr)
     if not options.quiet:
         print(f'{out}: {", ".join(models)}')
     return 0

@@ -140,7 +140,8 @@ BAND_REACH = 2.0
 
 
 def check_model(model: AxisModel) -> None:
-    """Refuse a model with the wrong sign, without covariance, not finite or too uncertain."""
+    """Refuse a model that its data forbid, with the wrong sign, not finite or too uncertain."""
+    _refuse(model, filter(None, [model.no_gains_because]))
     check_polarity(model)
     _refuse(model, _uncertain(model))
 

@@ -166,6 +166,8 @@ class AxisModel:
     """RMS errors of the free run and of holding the last rate on the held-out segments, rad/s."""
     reference: AxisModel | None = None
     """The model that predicts best, with which gains are designed; None: this one."""
+    no_gains_because: str = ''
+    """Why no gains may be designed with it: its data could not tell, or its motors are swapped."""
     craft: Craft = X
     """The airframe: place and spin of each motor."""
     units: Units | None = None

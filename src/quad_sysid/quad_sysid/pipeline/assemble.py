@@ -34,7 +34,8 @@ ENDS = 0.1
 
 
 def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float, float] | None,
-               candidates: Sequence[Effect] = EFFECTS, units: Units | None = None) -> AxisModel:
+               candidates: Sequence[Effect] = EFFECTS, units: Units | None = None,
+               no_gains_because: str = '') -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
     ladder, reference, law = findings.ladder, findings.search.best, problem.plain.law
@@ -80,7 +81,7 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
         mean_throttle=float(np.mean(data.training(data.control[:, 0]))),
         ranges=ranges_of(data, (*reference.structure.parts, *chosen.structure.parts)),
         noise=stored.noise_of(reference), trusted_band_rad_s=band,
-        craft=data.craft, units=units,
+        craft=data.craft, units=units, no_gains_because=no_gains_because,
         own_effects=(*([] if law is None else [law.effect]),
                      *(effect for effect in candidates if effect not in EFFECTS)),
     )

@@ -24,7 +24,7 @@ from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain import explain
-from quad_sysid.model import Designer, GainProposal
+from quad_sysid.model import AxisModel, Designer, GainProposal
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Effect
 from quad_sysid.own_base import Base, lacking
@@ -117,22 +117,24 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     progress(f'{axis}: black-box models')
     fits = _black_boxes(train)
     support = Support.of(train, axis, None if isinstance(fits, str) else fits.surest)
+    reason = _reason(findings, why_not)
+    no_gains = *refusals, reason if verdict == 'cannot_tell' else ''
     model = axis_model(findings, flight.gains, support.band, options.effects,
-                       flight.units or EVERY[axis].units)
+                       flight.units or EVERY[axis].units, no_gains[0])
     undetermined = () if options.base is None else \
         lacking(options.base, findings.problem, search_result.base)
     cut_short = search_result.cut_short and (
         f'{axis}: {search_result.cut_short} and ended early: what it names may stand for an '
         'effect that was not tried')
     answer = replace(
-        answer, verdict=verdict, reason=_reason(findings, why_not), findings=findings, model=model,
+        answer, verdict=verdict, reason=reason, findings=findings, model=model,
         train=train, validation=io_data(data, data.validation, external=False),
         outside=outside_of(model, data, data.validation),
         warnings=(*answer.warnings, *undetermined, *filter(None, [cut_short])),
         attitude_reference=flight.attitude_reference, rate_reference=flight.rate_reference)
     known: AxisAnswer
     proposal, known = side_by_side([  # the longer one first: it begins calls of its own
-        partial(_proposal, answer, options, (*refusals, '')[0], progress),
+        partial(_proposal, answer, model, options, progress),
         partial(_compared, answer, findings, flight.loop, fits, support),
     ])
     return replace(known, proposal=proposal)
@@ -276,13 +278,11 @@ def _reason(findings: Findings, not_searched: str) -> str:
     return reason
 
 
-def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
+def _proposal(answer: AxisAnswer, model: AxisModel, options: Options,
               progress: Progress) -> GainProposal:
     progress(f'{answer.axis}: gains')
-    if refused_because:
-        return GainProposal(None, refused_because)
-    if not answer.answered or answer.model is None:
-        return GainProposal(None, answer.reason)
+    if model.no_gains_because:
+        return GainProposal(None, model.no_gains_because)
     if EVERY[answer.axis].outer:
         return GainProposal(None, 'no firmware has its loop; quad-tune design MODEL.json --axis '
                             f'{answer.axis} gives gains for one of your own')
@@ -290,6 +290,6 @@ def _proposal(answer: AxisAnswer, options: Options, refused_because: str,
         return GainProposal(None, options.no_designer_because if options.base is None
                             else 'gains are designed for the built-in base only')
     try:
-        return options.designer(answer.model.predicting)
+        return options.designer(model.predicting)
     except QuadSysidError as error:
         return GainProposal(None, str(error))

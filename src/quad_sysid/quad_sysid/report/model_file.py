@@ -47,7 +47,7 @@ POLYNOMIALS = ('A', 'B', 'C', 'D', 'F')
 NOT_STORED = {'axis', 'own_effects'}
 """Fields that follow from the file's form or come from the caller."""
 OPTIONAL = {'craft', 'units', 'interval', 'mean_throttle', 'ranges', 'rungs', 'reference',
-            'explains_pct', 'held_out'}
+            'explains_pct', 'held_out', 'no_gains_because'}
 """Fields that older files lack; their defaults are what was meant."""
 BLACKBOX = ('structure', 'orders', 'approach', *POLYNOMIALS, 'nk', 'dt', 'noise_variance',
             'covariance')
