@@ -38,8 +38,9 @@ def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
 def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     verdict = tree['verdict']
     if verdict == 'unexplained_residual':
-        yield Next('what is left has no name yet: fly other amplitudes and another throttle, so '
-                   'that what it depends on moves', _prbs(axis))
+        yield Next('what is left has no name yet: fly in calm air, since gusts that come and go '
+                   'leave the same, and at other amplitudes and another throttle, so that what '
+                   'it depends on moves', _prbs(axis))
     elif verdict == 'cannot_tell':
         yield Next('to answer at all: fly an excitation of this axis', _prbs(axis))
 
