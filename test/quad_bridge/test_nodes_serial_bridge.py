@@ -1,5 +1,7 @@
 """The nodes as processes: a flight controller on a pseudo-terminal, the bridge, logger, a bag."""
 
+import fcntl
+import os
 import signal
 import time
 from collections import Counter
@@ -244,6 +246,20 @@ def test_nothing_that_is_sent_or_left_unanswered_stops_the_bridge(probe, far, br
     # the check needs a flight controller that answers: this one says why it has ended
     assert not probe.answer(check).success
     assert node.end() == 0
+
+
+def test_of_two_bridges_on_a_port_the_second_refuses_gains_and_says_why(tmp_path, probe, bridge):
+    """It offers the same service: whoever asks it must not take it for the aircraft."""
+    line = Pty(tmp_path / 'tty')
+    with os.fdopen(os.open(line.link, os.O_RDWR | os.O_NOCTTY), 'rb', buffering=0) as first:
+        fcntl.flock(first, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        bridge()
+        probe.until(lambda: 'busy' in probe.diagnostics(LINK))
+        result = probe.answer(probe.set_gains({'roll.rate.kp': 0.1})).result
+    line.close()
+    assert (result.successful, result.reason) == (
+        False, f'{tmp_path}/tty is busy: another program has it open',
+    )  # fmt: skip
 
 
 def test_simulated_time_is_respected(probe, far, bridge):

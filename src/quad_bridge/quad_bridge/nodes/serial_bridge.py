@@ -457,7 +457,7 @@ class SerialBridge(ManagedNode):
         """Hand on an update; raises RefusedError."""
         self.refuse_unless_active()
         if self._port.status.state is PortState.BUSY:  # of two bridges the other one has it
-            raise RefusedError(f'{self._port.status.path or "the port"} is {PortState.BUSY.value}')
+            raise RefusedError(f'{self._settings.port} is {PortState.BUSY.value}')
         with self._lock:
             if not parameters.get('rollback'):
                 self._refuse(Ability.GAINS)
