@@ -104,7 +104,8 @@ def test_no_standard_streams_or_nobody_who_reads_them(begin, name):
 def test_an_identification_that_still_computes_is_not_waited_for(begin, probe):
     compute = """
 import quad_sysid.session as session
-def run(*_):
+def run(bags, folder, wanted, progress):
+    progress('roll: what is missing')
     while True:
         sum(range(100_000))
 session.run = run
@@ -113,6 +114,7 @@ session.run = run
     told = probe.listen('/diagnostics')
     probe.publish('/logger/bag', event({'path': str(Path('bag').resolve()), 'state': 'complete'}))
     name = 'identification: identification'
-    probe.until(lambda: 'identifying' in getattr(entries(told).get(name), 'message', ''))
+    line = 'identifying: roll: what is missing'
+    probe.until(lambda: getattr(entries(told).get(name), 'message', '') == line)
     process.send(INT)
     ended(process)

@@ -72,6 +72,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._log: dict[str, Any] = {}  # what the bridge says of an autopilot's own log
         self._values: dict[str, str] = {'state': 'waiting'}
         self._level = OK
+        self._progress = ''  # the worker's last line; the executor shows it
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
         self._begun_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
@@ -170,7 +171,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
                 self._say(OK, state='waiting', reason=LOG_COMES)
             return
         self._bag = self._queue.popleft()
+        self._progress = ''
         self._say(OK, state='identifying', bag=self._bag)
+        self.get_logger().info(f'identifying {self._bag}; /diagnostics shows how far it is')
         clock().hold()
         self._worker = threading.Thread(target=self._work, args=(self._bag,), daemon=True)
         self._worker.start()
@@ -182,12 +185,15 @@ class IdentificationNode(Node):  # type: ignore[misc]
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
         try:
-            self._outcome = session.run([self._better(bag)], folder, self._wanted)
+            self._outcome = session.run([self._better(bag)], folder, self._wanted, self._on_line)
         except QuadSysidError as error:
             self._outcome = str(error)
         except Exception as error:  # noqa: BLE001 - a fault here must not take the node down
             self.get_logger().error(f'identification failed: {error!r}')
             self._outcome = f'fault of the program: {error!r}'
+
+    def _on_line(self, line: str) -> None:
+        self._progress = line
 
     def _better(self, bag: str) -> str:
         """The bag, or one of the autopilot's own log of the same flight, which is faster."""
@@ -284,8 +290,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
             self._begun.update(bag for bag, node in self._unsure.items()
                                if not self._stranger(node))
             self._unsure = {}
-        text = self._values.get('reason', self._values['state'])
-        status = Status('identification', self._level, text, self._values)
+        text, values = self._values.get('reason', self._values['state']), self._values
+        if values['state'] == 'identifying' and self._progress:
+            text, values = f'{text}: {self._progress}', {**values, 'progress': self._progress}
+        status = Status('identification', self._level, text, values)
         self._diagnostics.publish(diagnostic_array(self, '', [status]))
 
     def close(self) -> None:

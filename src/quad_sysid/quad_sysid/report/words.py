@@ -55,7 +55,8 @@ PLAIN = {
 VERDICTS = {
     'effects_added': ('found', 'Something was missing, and it was found'),
     'no_missing_effect': ('good', 'The plain model suffices'),
-    'unexplained_residual': ('open', 'Something is left without a name: an effect, or gusts that come and go'),
+    'unexplained_residual': (
+        'open', 'Something is left without a name: an effect, or gusts that come and go'),
     'cannot_tell': ('none', 'The data cannot tell'),
     'not_searched': ('none', 'The plain model alone'),
 }
