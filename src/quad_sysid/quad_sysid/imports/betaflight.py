@@ -20,13 +20,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import bilinear, lfilter
 
 from quad_sysid.bags.reader import PLAUSIBLE_PACK_V
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import BETAFLIGHT, Craft, of_betaflight
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.betaflight_gains import PIDSUM, Adjustment, changes, tuning
+from quad_sysid.imports.betaflight_gains import (
+    PIDSUM,
+    Adjustment,
+    changes,
+    number,
+    numbers,
+    tuning,
+)
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import apart
 from quad_sysid.imports.log import DEGREE, RPM, Experiment, ForeignLog, Mapped, Reading, Signal
@@ -63,6 +71,14 @@ INTRA = 'I'
 """Type of a frame that holds whole values, not differences."""
 PHASE = 5000.0
 """Betaflight's debug[0] per radian of the chirp's phase, in debug mode CHIRP."""
+CHIRP_HZ, SMOOTH_S = 1.0, 0.1
+"""Below this frequency the chirp's size falls with it; over so much time the phase is followed."""
+FINE = 10.0
+"""Factor of rates, set-points and sticks with blackbox_high_resolution (4.4 and later)."""
+FINE_STICK = 2500.0
+"""Throttle stick, µs, above which they are so: blackbox_decode leaves the header out."""
+BITS = 1_000_000
+"""A larger gyro_scale is the bits of a float."""
 FASTER = 'set blackbox_sample_rate (before 4.3 blackbox_p_ratio) to log 500 Hz or more'
 NO_GAINS = (
     "the controller's gains in a header of Betaflight or INAV: no closed loop, no gain design "
@@ -122,19 +138,23 @@ def _usual_throttle(table: Table) -> float | None:
     stick = table.columns.get('rcCommand[3]')
     if stick is None:
         return None
+    stick = stick / FINE if _is_fine(table) else stick
     share = (stick - PULSE_US[0]) / (PULSE_US[1] - PULSE_US[0])
     in_flight = share[(share > IN_THE_AIR) & (share <= 1.0)]
     return float(np.median(in_flight)) if in_flight.size else None
 
 
+def _is_fine(table: Table) -> bool:
+    """Whether rates, set-points and sticks are in tenths."""
+    stick = table.columns.get('rcCommand[3]')
+    return number(table.header, 'blackbox_high_resolution') == 1.0 or (
+        stick is not None and float(np.nanmedian(stick)) > FINE_STICK)
+
+
 def _span_us(table: Table) -> float:
     """The motors' range by the header, µs."""
-    low, _, high = str(table.header.get('motorOutput', '')).partition(',')
-    try:
-        span = float(high) - float(low)
-    except ValueError:
-        return PIDSUM
-    return span if 0.0 < span <= PIDSUM else PIDSUM
+    low, high, *_ = *numbers(table.header, 'motorOutput'), 0.0, 0.0
+    return high - low if 0.0 < high - low <= PIDSUM else PIDSUM
 
 
 def _chirps(reading: Reading) -> Iterator[Experiment]:
@@ -162,9 +182,29 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
             followed.append(1.0 - float(residual @ residual) / max(float(np.sum(
                 (rate - rate.mean()) ** 2)), 1e-12))
         axis = AXES[int(np.argmax(followed))]
-        size = DEGREE * float(fields.get(f'chirp_amplitude_{axis}', 'nan'))
-        if np.isfinite(size):
-            yield Experiment(axis, 'chirp', 'rate', Stream(times, size * wave[:, :1]))
+        size = DEGREE * number(fields, f'chirp_amplitude_{axis}')
+        if size > 0.0:
+            added = size * _shaped(times, angle, fields)
+            yield Experiment(axis, 'chirp', 'rate', Stream(times, added[:, None]))
+
+
+def _shaped(times: FloatArray, angle: FloatArray, fields: Mapping[str, str]) -> FloatArray:
+    """(n,) a chirp of amplitude 1 as the controller adds it to the set-point, by its phase, rad.
+
+    The cosine, smaller below CHIRP_HZ, behind a lead-lag of first order (chirp.c, pid_init.c).
+    """
+    dt = float(np.median(np.diff(times)))
+    apart = max(round(SMOOTH_S / dt), 1)
+    turned = np.unwrap(angle)
+    rows = np.arange(turned.size)
+    ahead, behind = np.minimum(rows + apart, turned.size - 1), np.maximum(rows - apart, 0)
+    hertz = (turned[ahead] - turned[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
+    wave = np.cos(angle) * np.minimum(hertz / CHIRP_HZ, 1.0)
+    lag, lead = (number(fields, f'chirp_{name}_freq_hz') for name in ('lag', 'lead'))
+    if lag > 0.0 and lead > 0.0:
+        s = 1.0 / (2.0 * np.pi)
+        wave = lfilter(*bilinear([s / lead, 1.0], [s / lag, 1.0], 1.0 / dt), wave)
+    return np.asarray(wave)
 
 
 def _is_phase(phase: Stream) -> bool:
@@ -210,9 +250,9 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
           for name in ('vbatLatest', 'vbat')),
     ]
     unit = units.get('accSmooth[0]', '')
-    counts = {'m/s2': GRAVITY, 'm/s/s': GRAVITY, 'g': 1.0}.get(unit) or float(
-        table.header.get('acc_1G') or 2048)
-    if counts > 0.0:  # else a board without an accelerometer
+    own = numbers(table.header, 'acc_1G') or [2048.0]  # 0: a board without an accelerometer
+    counts = {'m/s2': GRAVITY, 'm/s/s': GRAVITY, 'g': 1.0}.get(unit) or own[0]
+    if counts > 0.0:
         out.append(Signal('acceleration', _several('accSmooth', 3), unit or 'raw',
                           f'{counts:g} are {GRAVITY} m/s²',
                           lambda v: v * (GRAVITY / counts) * frame))
@@ -336,15 +376,14 @@ def _rate_unit(table: Table, unit: str) -> float:
     """rad/s per unit of gyroADC: degrees, tenths of them, or counts times the header's scale."""
     if unit == 'rad/s':
         return 1.0
-    if table.header.get('blackbox_high_resolution', '0').strip() == '1' and not unit:
-        return 0.1 * DEGREE
+    if _is_fine(table) and not unit:
+        return DEGREE / FINE
     scale = table.header.get('gyro_scale', '').strip()
     try:
-        value = float(scale) if not scale.startswith('0x') else float(
-            np.array(int(scale, 16), dtype=np.uint32).view(np.float32)
-        )
+        bits = int(scale, 0)
+        value = float(np.uint32(bits).view(np.float32)) if BITS < bits < 2**32 else float(bits)
     except ValueError:
-        value = 1.0
+        value = number(table.header, 'gyro_scale')
     return DEGREE * (value if 1e-3 < value < 1.0 else 1.0)
 
 
@@ -370,7 +409,7 @@ def _read(path: Path) -> tuple[Table, dict[str, str]]:
 
 def _speeds(table: Table, units: dict[str, str], count: int) -> list[Signal]:
     """Rotor speeds: electrical turns in hundreds a minute, a pole pair for each of the rotor."""
-    poles = float(table.header.get('motor_poles') or POLES)
+    poles = number(table.header, 'motor_poles') or POLES
     factor, how = 100.0 * RPM / (0.5 * poles), f'of {poles:g} poles, to rad/s'
     if units.get('eRPM[0]') == 'rpm':
         factor, how = RPM, 'to rad/s'
@@ -414,9 +453,9 @@ def _crafts(table: Table, count: int) -> tuple[Craft, ...]:
 
 
 def _motor_range(table: Table, raw: FloatArray) -> tuple[float, float, str]:
-    parts = table.header.get('motorOutput', '').split(',')
-    if len(parts) == 2 and float(parts[1]) > float(parts[0]):
-        return float(parts[0]), float(parts[1]), 'motorOutput of the header'
+    parts = numbers(table.header, 'motorOutput')
+    if len(parts) == 2 and parts[1] > parts[0]:
+        return parts[0], parts[1], 'motorOutput of the header'
     if 'maxthrottle' in table.header:
         return *PULSE_US, 'pulses of 1000 to 2000 µs, as maxthrottle of the header'
     if np.nanmin(raw) < PULSE_US[0] - 1.0 or np.nanmax(raw) > PULSE_US[1] + 1.0:

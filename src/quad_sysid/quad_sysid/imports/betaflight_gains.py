@@ -12,6 +12,7 @@ boost, thrust linearisation, and of D_max the part that grows with the stick.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -25,8 +26,9 @@ FEEDFORWARD = 0.013754
 """Weight of Betaflight's feedforward: part of the sum per deg/s² of the set-point."""
 BETAFLIGHT_LEVEL, INAV_LEVEL = 0.1, 1 / 6.56
 """Angle gain, 1/s, per unit of P of the level mode."""
-YAW_I = 2.5
-"""Factor of Betaflight's I on the yaw axis."""
+YAW_I, FIRST_STEEPER = 2.5, 4
+"""Factor of Betaflight's I on the yaw axis, and the first version that has it."""
+VERSION = re.compile(r'betaflight (\d+)\.', re.IGNORECASE)
 PIDSUM = 1000.0
 """Sum of P, I and D that is the whole range of the motors."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}
@@ -70,13 +72,13 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
     `motor_us`: the motors' range, µs, of which INAV's sum is a part.
     """
     firmware = firmware_of(header)
-    if not firmware or not all(len(_numbers(header, f'{axis}PID')) > 2 for axis in AXES):
+    if not firmware or not all(len(numbers(header, f'{axis}PID')) > 2 for axis in AXES):
         return Tuning({}, '')
     inav = firmware == 'inav'
     scale = DEGREES / (motor_us if inav else PIDSUM)
     on_p, on_d = _attenuation(header, throttle, inav=inav)
-    cutoff = _cutoff(header, ('dterm_lpf1', 'dterm_lowpass', 'dterm_lpf'),
-                     ('dterm_lpf2', 'dterm_lowpass2'), throttle)
+    cutoff = _cutoff(header, ('dterm_lpf1', 'dterm_lowpass', 'dterm_lpf', 'dterm_filter'),
+                     ('dterm_lpf2', 'dterm_lowpass2', 'dterm_filter2'), throttle)
     gains: dict[str, float] = {}
     for axis in AXES:
         row = _of_axis(header, axis, scale, inav=inav)
@@ -85,9 +87,9 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
         if cutoff:
             row['d_filter_hz'] = cutoff
         gains |= {f'{axis}.rate.{name}': value for name, value in row.items()}
-    if _number(header, 'yaw_lowpass_hz') > 0.0:
-        gains['yaw.rate.error_filter_hz'] = _number(header, 'yaw_lowpass_hz')
-    level = _numbers(header, 'levelPID')
+    if number(header, 'yaw_lowpass_hz') > 0.0:
+        gains['yaw.rate.error_filter_hz'] = number(header, 'yaw_lowpass_hz')
+    level = numbers(header, 'levelPID')
     if level:
         for axis in AXES[:2]:
             gains[f'{axis}.angle.kp'] = level[0] * (INAV_LEVEL if inav else BETAFLIGHT_LEVEL)
@@ -105,20 +107,27 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
              inav: bool) -> dict[str, float]:
     """An axis' gains by their last names, without TPA."""
     i = AXES.index(axis)
-    p, integral, d = _numbers(header, f'{axis}PID')[:3]
-    least = _numbers(header, 'd_min')
+    p, integral, d = numbers(header, f'{axis}PID')[:3]
+    least = numbers(header, 'd_min')
     if len(least) > i and 0.0 < least[i] < d:
         d = least[i]  # D of a stick that rests; from 2025.12 on that is D itself
     of_p, of_i, of_d = INAV if inav else BETAFLIGHT
     out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale * (
-        YAW_I if axis == 'yaw' and not inav else 1.0)}
-    forward = _numbers(header, 'ff_weight') or _numbers(header, 'feedforward_weight')
+        YAW_I if axis == 'yaw' and _steeper_yaw(header) else 1.0)}
+    forward = numbers(header, 'ff_weight') or numbers(header, 'feedforward_weight')
     if len(forward) > i:
         out['kff_slope'] = FEEDFORWARD * 0.01 * forward[i] * scale
-    limit = _number(header, 'pidsum_limit_yaw' if axis == 'yaw' else 'pidsum_limit')
+    limit = number(header, 'pidsum_limit_yaw' if axis == 'yaw' else 'pidsum_limit')
     if limit > 0.0:
         out['output_limit'] = limit / PIDSUM
     return out
+
+
+def _steeper_yaw(header: Mapping[str, str]) -> bool:
+    """Whether yaw's I is multiplied: Betaflight from 4.0 on, but for its integrated yaw."""
+    version = VERSION.search(str(header.get('Firmware revision', '')))
+    return (firmware_of(header) == 'betaflight' and not number(header, 'use_integrated_yaw')
+            and (version is None or int(version[1]) >= FIRST_STEEPER))
 
 
 def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
@@ -131,7 +140,7 @@ def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
         first = max((n for n in table if n <= change.function < n + 3), default=0)
         axes, place = table.get(first, '').split(), change.function - first
         for axis in axes:
-            values = _numbers(texts, f'{axis}PID')
+            values = numbers(texts, f'{axis}PID')
             if len(values) > place:
                 values[place] = change.value
                 texts[f'{axis}PID'] = ','.join(map(str, values))
@@ -145,12 +154,12 @@ def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],
 def _attenuation(header: Mapping[str, str], throttle: float | None, *,
                  inav: bool) -> tuple[float, float]:
     """By what TPA multiplies P and D above its breakpoint; Betaflight's mode D leaves P alone."""
-    rate, breakpoint_us = _number(header, 'tpa_rate'), _number(header, 'tpa_breakpoint')
+    rate, breakpoint_us = number(header, 'tpa_rate'), number(header, 'tpa_breakpoint')
     if throttle is None or not rate > 0.0 or not 1000.0 <= breakpoint_us < 2000.0:
         return 1.0, 1.0
     over = (1000.0 * (1.0 + throttle) - breakpoint_us) / (2000.0 - breakpoint_us)
     factor = 1.0 - 0.01 * min(rate, 100.0) * min(max(over, 0.0), 1.0)
-    only_d = not inav and _number(header, 'tpa_mode') == 1.0
+    only_d = not inav and number(header, 'tpa_mode') == 1.0
     return 1.0 if only_d else factor, factor
 
 
@@ -168,14 +177,14 @@ def _delay(header: Mapping[str, str], first: tuple[str, ...], second: tuple[str,
     for names in (first, second):
         hertz = 0.0
         for name in names:
-            span = _numbers(header, f'{name}_dyn_hz')
+            span = numbers(header, f'{name}_dyn_hz')
             if not hertz and len(span) > 1 and span[0] > 0.0:
-                hertz = _dynamic(span[0], span[1], throttle, _number(header, f'{name}_dyn_expo'))
+                hertz = _dynamic(span[0], span[1], throttle, number(header, f'{name}_dyn_expo'))
             for field in (f'{name}_static_hz', f'{name}_hz'):
-                values = _numbers(header, field)
+                values = numbers(header, field)
                 hertz = hertz or (values[0] if values else 0.0)
             if hertz > 0.0:
-                kind = next((_number(header, f'{n}_type') for n in names if f'{n}_type' in header),
+                kind = next((number(header, f'{n}_type') for n in names if f'{n}_type' in header),
                             0.0)
                 total += DELAYS.get(int(kind), 1.0) / (2.0 * math.pi * hertz)
                 break
@@ -188,13 +197,15 @@ def _dynamic(low: float, high: float, throttle: float | None, expo: float) -> fl
     return low + (high - low) * (x * (1.0 - x) * 0.1 * expo + x)
 
 
-def _numbers(header: Mapping[str, str], name: str) -> list[float]:
+def numbers(header: Mapping[str, str], name: str) -> list[float]:
+    """The numbers of a header's field, with commas between; none where one is no number."""
     try:
         return [float(part) for part in str(header[name]).strip('[] "').split(',')]
     except (KeyError, ValueError):
         return []
 
 
-def _number(header: Mapping[str, str], name: str) -> float:
-    values = _numbers(header, name)
+def number(header: Mapping[str, str], name: str) -> float:
+    """The first number of a header's field; 0 without any."""
+    values = numbers(header, name)
     return values[0] if values else 0.0
