@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quad_sysid.autopilot_table import ARDUPILOT, ardupilot_units
+from quad_sysid.autopilot_table import ARDUPILOT, Units, ardupilot_units
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
 from quad_sysid.errors import BadInputError
@@ -30,6 +30,7 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    changes_of,
     per_torque,
     within,
 )
@@ -113,9 +114,14 @@ def read(path: Path) -> ForeignLog:
                             'copy the log whole, or set LOG_BITMASK to log fast attitude (bit 0) '
                             'and log again')
     _climb(reading)
-    crafts, gains, warnings = _input(reading)
+    crafts, units, warnings = _input(reading)
+
+    def gains(parameters: Mapping[str, float]) -> dict[str, float]:
+        return {} if units is None else ARDUPILOT.gains(parameters, units)
+
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
-                       gains=gains, faster=FASTER, warnings=tuple(warnings),
+                       gains=gains(table.header), faster=FASTER, warnings=tuple(warnings),
+                       gain_changes=changes_of(table, ARDUPILOT.names if units else (), gains),
                        loop_s=_loop_s(table.header),
                        experiments=tuple(_experiments(table)))
 
@@ -201,7 +207,9 @@ def _load(path: Path) -> Table:
         columns[ours], times[ours] = values[first], log.times[name][first]
         if ours.startswith('RCOU.C'):
             columns[ours] = np.where(columns[ours] > MAX_PULSE, np.nan, columns[ours])
-    table = Table(str(path), columns, times, header=log.parameters)
+    begun = {name: value for name, value in log.begun.items() if name in ARDUPILOT.names}
+    table = Table(str(path), columns, times, header={**log.parameters, **begun},
+                  changed=tuple(log.changed))
     if log.in_ms and 'RATE.R' in columns:
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * 0.01
@@ -219,8 +227,8 @@ def _load(path: Path) -> Table:
         'are left out')))
 
 
-def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
-    """Take the commands: the craft of the motors, the gains in their unit, warnings."""
+def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]]:
+    """Take the commands: the craft of the motors, the gains' units if known, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
     count = craft.count if isinstance(craft, Craft) else 4  # where the parameters do not say it
@@ -235,10 +243,9 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
         _speeds(reading, channels)
         if not isinstance(craft, Craft):
-            return (), {}, [NO_GAINS.format(craft)]
+            return (), None, [NO_GAINS.format(craft)]
         units = ardupilot_units(craft.mixer, table.header)
-        return ((craft,), ARDUPILOT.gains(table.header, units),
-                [f'{AT_HOVER}; {per_torque(units)}'])
+        return (craft,), units, [f'{AT_HOVER}; {per_torque(units)}']
     reading.take(OUTPUTS)
     if 'control' not in reading.streams:
         raise BadInputError(
@@ -246,7 +253,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
             'copy the log whole, or set LOG_BITMASK to log fast attitude (bit 0) or RC output '
             '(bit 10) and log again',
         )
-    return (), ARDUPILOT.gains(table.header, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
+    return (), (1.0, 1.0, 1.0), [DEMAND_ONLY]
 
 
 def _speeds(reading: Reading, channels: tuple[int, ...]) -> None:

@@ -15,6 +15,7 @@ import struct
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
                 'decode the log again with blackbox_decode' if name == 'time' else
                 'log the gyro (blackbox_disable_gyro = OFF)'))
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
+    first_us = float(table.columns['time'][0])
     table = table.on_clock('time', clock_unit)
     gyro, scale = _several('gyroADC', 3), _rate_unit(table, units.get('gyroADC[0]', ''))
     table = table.without(np.any(  # as damaged frames hold them
@@ -115,6 +117,8 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.mapped += [Mapped('header', '-', 'note', filters)] if filters else []
     header = {str(name): str(value) for name, value in table.header.items()}
     throttle, span = _usual_throttle(table), _span_us(table)
+    begin_s = float(table.times[gyro[0]][0]) - 1e-6 * first_us  # of the clock of the changes
+    adjusted = [replace(change, time_s=change.time_s + begin_s) for change in adjusted]
     gains = tuning(header, throttle, span)
     reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', gains.how)] * bool(
         gains.gains)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.imports.table import Change
 
 MAGIC = b'\xa3\x95'
 FMT, FMT_LENGTH = 128, 89
@@ -59,12 +60,25 @@ class Log:
     columns: Columns = field(default_factory=dict)
     times: Columns = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
+    """As they were at the end."""
+    changed: list[Change] = field(default_factory=list)
+    """Parameters that were set again, to another value."""
+    begun: dict[str, float] = field(default_factory=dict)
+    """As those that changed were before."""
     skipped: int = 0
     """Bytes in which no whole message stands."""
     bursts: int = 0
     """Places at which bytes were skipped."""
     in_ms: bool = False
     """Whether the times are those of a log before 2015."""
+
+    def set(self, name: str, value: float, time_s: float) -> None:
+        """Take a parameter's value; each begins with what is logged first."""
+        before = self.parameters.get(name, value)
+        if before != value:
+            self.begun.setdefault(name, before)
+            self.changed.append(Change(time_s, name, value))
+        self.parameters[name] = value
 
 
 def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
@@ -87,14 +101,14 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     order = np.argsort(places, kind='stable')
     timed_s = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
     for name, (offsets, rows) in messages.items():
-        if name == 'PARM':
-            log.parameters |= {_text(n): float(v) for n, v in zip(rows['Name'], rows['Value'],
-                                                                  strict=True)}
-            continue
         times = stamps.get(name)
         if times is None:  # before 2015 events had none: that of the message before
             index = np.searchsorted(places[order], offsets) - 1
             times = timed_s[np.maximum(index, 0)] if timed_s.size else np.zeros(len(offsets))
+        if name == 'PARM':
+            for parameter, value, time_s in zip(rows['Name'], rows['Value'], times, strict=True):
+                log.set(_text(parameter), float(value), float(time_s))
+            continue
         kind = next(k for k in kinds.values() if k.name == name)
         for label, factor in zip(rows.dtype.names or (), kind.factors, strict=True):
             if factor:
@@ -259,7 +273,8 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
             continue
         if name == 'PARM':
             row = dict(zip(names, cells, strict=False))
-            log.parameters[row.get('Name', '')] = _number(row.get('Value', ''))
+            at_s = next((TIMES[c] * _number(row[c]) for c in TIMES if c in row), now)
+            log.set(row.get('Name', ''), _number(row.get('Value', '')), at_s)
             continue
         clock = next((c for c in TIMES if c in names), None)
         numbers = [_number(cell) for cell in cells[: len(names)]]

@@ -7,7 +7,7 @@ grid. No files.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -157,6 +157,19 @@ def per_torque(units: Sequence[float]) -> str:
     """What `quad-tune export` asks for, from our command per unit of their torque, by axis."""
     stated = ', '.join(f'{axis}={unit:.4g}' for axis, unit in zip(AXES, units, strict=True))
     return f'--scale of quad-tune export, our command per unit of their torque: {stated}'
+
+
+def changes_of(
+    table: Table, names: Collection[str],
+    gains: Callable[[Mapping[str, Any]], Mapping[str, float]],
+) -> tuple[GainChange, ...]:
+    """The gains after each change of one of these parameters, by `gains` of all parameters."""
+    known, out = dict(table.header), []
+    for change in table.changed:
+        if change.name in names:
+            known[change.name] = change.value
+            out.append(GainChange(change.time_s, gains(known)))
+    return tuple(out)
 
 
 def within(message: str, *fields: str) -> tuple[str, ...]:

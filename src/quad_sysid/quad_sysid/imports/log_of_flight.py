@@ -7,7 +7,7 @@ time into ROS time, as the bridge says it on /aircraft/log.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ STREAMS = (*TOPICS, 'armed')
 """Fields of a ForeignLog that are streams."""
 MIN_S = 5.0
 """A log that has less of the bag's flight is of another flight."""
+SAME = 0.02
+"""Part by which the ratio of both's gains may change: a message may come late."""
 
 
 def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
@@ -50,7 +52,7 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     record = replace(record, t0_ns=t0_ns)
     if not read.experiments:
         record = _with_schedule(record, live, after_s)
-    record = _in_our_unit(record, live.gains, read.gains, after_s)
+    record = _in_our_unit(record, live, after_s)
     notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
              'import clock': '; '.join(repairs), 'import check': '; '.join(warnings)}
     return write_bag(record, out, BagOptions(notes=notes))
@@ -85,28 +87,39 @@ def _with_schedule(record: Record, live: Record, after_s: float) -> Record:
     return replace(record, segments=segments, excitation=excitation)
 
 
-def _in_our_unit(
-    record: Record, live: tuple[GainChange, ...], own: Mapping[str, float], after_s: float
-) -> Record:
+def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
     """The log's control in the unit of the bag's gains, and these gains.
 
     Where the log holds the controller's own outputs, they are in its unit; the gains are the same
-    in both, so what they differ by is the factor.
+    in both at each time, so what they differ by is the factor. Raises BadInputError where that
+    changes.
     """
-    if not live:
+    if not live.gains:
         return record
-    gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live)
+    gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live.gains)
     if record.motors is not None or record.desaturation != 'none':
         return replace(record, gains=gains)
-    last = live[-1].values
+    end_s = min(record.n * record.dt, live.n * live.dt - after_s)
     scale: FloatArray = np.ones(4)
     for i, axis in enumerate(AXES, 1):
-        name = f'{axis}.rate.kp'
-        if last.get(name, 0.0) > 0.0 and own.get(name, 0.0) > 0.0:
-            scale[i] = last[name] / own[name]
+        begun, ended = (_factor(record, live, f'{axis}.rate.kp', at_s, after_s)
+                        for at_s in (max(0.0, -after_s), end_s))
+        if not math.isclose(begun, ended, rel_tol=SAME):
+            raise BadInputError(record.source, f'holds other gains of {axis} than the bag: their '
+                                f'ratio goes from {begun:.3g} to {ended:.3g}',
+                                remedy='leave the log out, or fly without changing them')
+        scale[i] = begun
     wrench = None if record.wrench is None else record.wrench * scale
     excitation = record.excitation
     if excitation is not None and any(s.injection == 'control' for s in record.segments):
         excitation = excitation * scale[1:]
     return replace(record, control=record.control * scale, wrench=wrench, gains=gains,
                    excitation=excitation)
+
+
+def _factor(record: Record, live: Record, name: str, at_s: float, after_s: float) -> float:
+    """A gain of the bag over the log's at a time of the log; 1 where one does not say it."""
+    ours, theirs = live.gains_at(at_s + after_s), record.gains_at(at_s)
+    if not (ours.get(name, 0.0) > 0.0 and theirs.get(name, 0.0) > 0.0):
+        return 1.0
+    return ours[name] / theirs[name]

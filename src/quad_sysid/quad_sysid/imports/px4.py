@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,13 @@ from quad_sysid.imports.log import (
     ForeignLog,
     Reading,
     Signal,
+    changes_of,
     per_torque,
     within,
 )
 from quad_sysid.imports.mixers import MIRROR, enu, mirrored, ned_angles
 from quad_sysid.imports.rosbag import of_one_aircraft
-from quad_sysid.imports.table import Table
+from quad_sysid.imports.table import Change, Table
 
 ARMED = 2
 """arming_state of vehicle_status."""
@@ -110,8 +112,10 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
             table.source, 'holds no vehicle_angular_velocity and no sensor_combined',
             table.messages or 'no topic of use', f'{faster}; then log again',
         )
-    crafts, gains, warnings = _input(reading)
-    return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table), gains=gains,
+    crafts, units, warnings = _input(reading)
+    gains = partial(_gains, table, units)
+    return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table),
+                       gains=gains(table.header), gain_changes=changes_of(table, PX4.names, gains),
                        faster=faster, warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))
 
@@ -156,7 +160,11 @@ def _load(path: Path) -> Table:
     elif _cut(path.read_bytes()):
         notes.append('the log ends within a message, as one that was cut off: copy it again if '
                      'there is more of it')
-    return Table(str(path), columns, times, header=parameters, notes=tuple(notes))
+    changed = tuple(Change(1e-6 * stamp, str(name), float(value))
+                    for stamp, name, value in log.changed_parameters
+                    if isinstance(value, int | float))
+    return Table(str(path), columns, times, header=parameters, changed=changed,
+                 notes=tuple(notes))
 
 
 def _cut(ulog: bytes) -> bool:
@@ -175,8 +183,8 @@ def _armed(table: Table) -> Stream | None:
     return None if state is None else Stream(state.time_s, 1.0 * (state.values == ARMED))
 
 
-def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[str]]:
-    """Take the commands: the craft of the motors, the gains in their unit, warnings."""
+def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]]:
+    """Take the commands: the craft of the motors, the gains' units if known, warnings."""
     table = reading.table
     old = within('actuator_controls_0', *(f'control[{i}]' for i in (3, 0, 1, 2)))
     new = (*_vector('vehicle_torque_setpoint', 'xyz'), 'vehicle_thrust_setpoint.xyz[2]')
@@ -197,8 +205,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         _speeds(reading, count)
         note = ("PX4's gains are not carried over: its torque set-point was not logged beside the "
                 'motors, or does not follow from them')
-        return (crafts, _gains(table, scale),
-                [] if scale else [note])
+        return crafts, scale, [] if scale else [note]
     if torque is None:
         raise BadInputError(table.source, 'holds no actuator_motors, vehicle_torque_setpoint or '
                             'actuator_controls_0', table.messages,
@@ -207,7 +214,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], dict[str, float], list[
         'control', old if old[0] in table.columns else new, '-1..1',
         "as it is, pitch and yaw turned; U is in the unit of PX4's torque set-point",
     ), torque)
-    return (), _gains(table, (1.0, 1.0, 1.0)), [DEMAND_ONLY]
+    return (), (1.0, 1.0, 1.0), [DEMAND_ONLY]
 
 
 def _torque(table: Table, old: tuple[str, ...], new: tuple[str, ...]) -> Stream | None:
@@ -265,9 +272,10 @@ def _scale(control: Stream, torque: Stream) -> Units | None:
     return (roll, pitch, yaw) if (1.0 - residual / total >= LINEAR).all() else None
 
 
-def _gains(table: Table, units: Units | None) -> dict[str, float]:
+def _gains(table: Table, units: Units | None, parameters: Mapping[str, float]
+           ) -> dict[str, float]:
     """The contract's names; only the filters of the rates where nobody knows the `units`."""
-    gains = PX4.gains(table.header, units or (1.0, 1.0, 1.0))
+    gains = PX4.gains(parameters, units or (1.0, 1.0, 1.0))
     filtered = 'vehicle_angular_velocity.xyz[0]' in table.columns
     return {name: value for name, value in gains.items()
             if (filtered if name.startswith('sensor.') else units is not None)}

@@ -67,6 +67,15 @@ EULER = ('roll', 'pitch', 'yaw')
 
 
 @dataclass(frozen=True)
+class Change:
+    """A parameter that was set while the log was written."""
+
+    time_s: float
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
 class Table:
     """Columns by name, as in the file; NaN where a row has no number."""
 
@@ -77,7 +86,8 @@ class Table:
     lines: Sequence[int] | np.ndarray = ()
     """Line number of each row of a text, counted from 1."""
     header: Mapping[str, Any] = field(default_factory=dict)
-    """The log's parameters, as it names them."""
+    """The log's parameters, as it names them; of those that `changed`, as they began."""
+    changed: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     """Repairs, and parts that could not be read, in words."""
     aliases: Mapping[str, str] = field(default_factory=dict)

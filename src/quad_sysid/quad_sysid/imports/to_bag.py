@@ -6,7 +6,7 @@ asked, and the result is reported.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,16 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
                     (*log.checks, *warnings))
 
 
+def gains_of(log: ForeignLog, gains: Mapping[str, float], start_s: float
+              ) -> tuple[GainChange, ...]:
+    """The gains of a record that begins at `start_s` of the log, with what its import added."""
+    changes = [GainChange(change.time_s - start_s, {**gains, **change.values})
+               for change in log.gain_changes]
+    begun = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
+    return (*([GainChange(0.0, begun[-1])] if begun[-1] else []),
+            *(change for change in changes if change.time_s > 0.0))
+
+
 def uneven(notes: Sequence[str]) -> list[str]:
     """The first of the notes, about the clock, unless all samples came in time."""
     return [note for note in notes[:1] if ', 0 odd intervals; each kept' not in note]
@@ -139,7 +149,7 @@ def record_of(
                     attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
                     rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
                     battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
-                    gains=(GainChange(0.0, gains),) if gains else ())
+                    gains=gains_of(log, gains, float(grid.times[0])))
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')

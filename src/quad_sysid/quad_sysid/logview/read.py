@@ -20,10 +20,10 @@ from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.stretches import airborne
 from quad_sysid.imports.table import head_of, is_bag
-from quad_sysid.imports.to_bag import record_of, uneven, volts_on
+from quad_sysid.imports.to_bag import gains_of, record_of, uneven, volts_on
 from quad_sysid.logview.flown import Flown
 from quad_sysid.logview.measure import Measured, look_at
-from quad_sysid.record import GainChange, Record
+from quad_sysid.record import Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,9 +145,6 @@ def of_log(log: ForeignLog) -> Flown:
     else:
         flown = replace(of_record(record, log.kind),
                         warnings=(*log.checks, *warnings, *uneven(notes)))
-    flown = replace(flown, gains=tuple(
-        GainChange(change.time_s - laid.times[0] if change.time_s else 0.0, change.values)
-        for change in (*flown.gains, *log.gain_changes)))
     times = laid.times
     if log.d_term is not None and len(times) == flown.n:
         width = log.d_term.values.shape[1]
@@ -175,7 +172,7 @@ def _without_commands(log: ForeignLog, laid: Cycles, why: str) -> Flown:
         axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
         rate_setpoint=held(log.rate_setpoint), attitude_setpoint=held(log.attitude_setpoint),
         angles=drawn_on(log.angles, laid.times), battery_v=volts_on(log.battery, laid.times),
-        gains=(GainChange(0.0, log.gains),) if log.gains else (),
+        gains=gains_of(log, log.gains, float(laid.times[0])),
         warnings=(f'it cannot be identified: {why}',))
 
 
