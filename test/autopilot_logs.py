@@ -12,8 +12,11 @@ def quaternions(angles: np.ndarray) -> np.ndarray:
     return np.roll(Rotation.from_euler('ZYX', angles[:, ::-1]).as_quat(), 1, axis=1)
 
 
-def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
-    """Topics {name: {field: values}}, floats or arrays of them, all but the first, timestamp."""
+def ulog(path: Path, topics: dict, parameters: dict, drop=(), later=()) -> Path:
+    """Topics {name: {field: values}}, floats or arrays of them, all but the first, timestamp.
+
+    later: parameters (row of the first topic, name, value) that are set in flight.
+    """
     out = [b'ULog\x01\x12\x35\x01' + struct.pack('<Q', 1)]
 
     def add(kind: bytes, body: bytes) -> None:
@@ -25,10 +28,13 @@ def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
             for f, v in columns.items() if f != 'timestamp'
         )
         add(b'F', f'{name}:uint64_t timestamp;{fields}'.encode())
-    for name, value in parameters.items():
+    def write(name: str, value: float) -> None:
         key = f'{"int32_t" if isinstance(value, int) else "float"} {name}'.encode()
         form = '<i' if isinstance(value, int) else '<f'
         add(b'P', bytes([len(key)]) + key + struct.pack(form, value))
+
+    for name, value in parameters.items():
+        write(name, value)
     for i, name in enumerate(topics):
         add(b'A', struct.pack('<BH', 0, i) + name.encode())
     for i, columns in enumerate(topics.values()):
@@ -38,12 +44,17 @@ def ulog(path: Path, topics: dict, parameters: dict, drop=()) -> Path:
             if k not in drop:
                 body = struct.pack('<HQ', i, int(stamp)) + values[k].astype('<f4').tobytes()
                 add(b'D', body)
+            for _, name, value in (one for one in later if (i, k) == (0, one[0])):
+                write(name, value)
     path.write_bytes(b''.join(out))
     return path
 
 
-def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
-    """Messages {name: (labels, rows)}; the first label is TimeUS."""
+def dataflash(path: Path, messages: dict, parameters: dict, later=()) -> Path:
+    """Messages {name: (labels, rows)}; the first label is TimeUS.
+
+    later: parameters (time in us, name, value) that are set in flight.
+    """
     out = []
 
     def fmt(number, name, form, labels, length):
@@ -52,8 +63,8 @@ def dataflash(path: Path, messages: dict, parameters: dict) -> Path:
 
     fmt(128, 'FMT', 'BBnNZ', ('Type', 'Length', 'Name', 'Format', 'Columns'), 89)
     fmt(129, 'PARM', 'QNf', ('TimeUS', 'Name', 'Value'), 3 + 8 + 16 + 4)
-    for name, value in parameters.items():
-        out.append(struct.pack('<3BQ16sf', 0xA3, 0x95, 129, 1, name.encode(), value))
+    for stamp, name, value in (*((1, *item) for item in parameters.items()), *later):
+        out.append(struct.pack('<3BQ16sf', 0xA3, 0x95, 129, stamp, name.encode(), value))
     for number, (name, (labels, rows)) in enumerate(messages.items(), 130):
         fmt(number, name, 'Q' + 'f' * (len(labels) - 1), labels, 11 + 4 * (len(labels) - 1))
         form = f'<3BQ{len(labels) - 1}f'

@@ -46,6 +46,22 @@ def test_inavs_numbers_are_a_part_of_the_motors_range():
     assert high['yaw.rate.kp'] == low['yaw.rate.kp']
 
 
+@pytest.mark.parametrize(('header', 'of_i'), [
+    ({'Firmware revision': 'Betaflight 3.5.7 (1c1bc2ee4) STM32F405'}, 1.0),
+    ({'use_integrated_yaw': '1'}, 1.0), ({}, 2.5),
+])
+def test_yaws_i_is_steeper_from_betaflight_4_on_but_for_integrated_yaw(header, of_i):
+    found = tuning({**BETAFLIGHT, **header}, 0.3).gains
+    assert found['yaw.rate.ki'] == pytest.approx(of_i * 80 * 0.244381 * RAD)
+
+
+def test_the_types_of_d_filters_have_older_names():
+    """A biquad of 100 Hz has the delay of a filter of first order of 71 Hz."""
+    own = {k: v for k, v in BETAFLIGHT.items() if not k.startswith('dterm')}
+    found = tuning({**own, 'dterm_lpf_hz': '100', 'dterm_filter_type': '1'}, 0.3).gains
+    assert found['roll.rate.d_filter_hz'] == pytest.approx(100.0 / math.sqrt(2.0))
+
+
 def test_unknown_firmwares_have_no_gains():
     assert tuning({**BETAFLIGHT, 'Firmware revision': 'Rotorflight 4.3.0'}, 0.5).gains == {}
 

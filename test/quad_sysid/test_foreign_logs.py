@@ -287,6 +287,32 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
     assert 'the log holds experiments' in notes
 
 
+@pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
+def test_gains_that_are_set_in_flight_hold_from_then_on(flight, tmp_path, firmware):
+    """At a third of the flight; what is set before it begins is not in it."""
+    if firmware == 'ArduPilot':
+        messages, name = ardupilot_messages(flight), 'ATC_RAT_RLL_P'
+        del messages['RCOU']
+        path = dataflash(tmp_path / 'log.bin', messages, {name: 0.1, 'ATC_RAT_PIT_P': 0.3},
+                         [(2_000_000, name, 0.2), (3_000_000 + DT_US * N // 3, name, 0.4),
+                          (2_900_000_000, 'ATC_RAT_PIT_P', 0.3)])
+    else:
+        pytest.importorskip('pyulog')
+        topics, name = px4_topics(flight), 'MC_ROLLRATE_P'
+        del topics['actuator_motors']
+        stamps = topics['vehicle_attitude']['timestamp']
+        topics['vehicle_torque_setpoint'] = {'timestamp': stamps,
+                                             'xyz': FRD * flight.control[:, 1:]}
+        topics['vehicle_thrust_setpoint'] = {'timestamp': stamps,
+                                             'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0]}
+        path = ulog(tmp_path / 'log.ulg', topics, {name: 0.2, 'MC_PITCHRATE_P': 0.3},
+                    later=[(N // 3, name, 0.4)])
+    record, _ = imported(path, tmp_path / 'bag')
+    assert [change.time_s for change in record.gains] == [0.0, pytest.approx(2.0, abs=0.02)]
+    assert [[change.values[f'{axis}.rate.kp'] for axis in ('roll', 'pitch')]
+            for change in record.gains] == [pytest.approx([0.2, 0.3]), pytest.approx([0.4, 0.3])]
+
+
 def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
     messages = ardupilot_messages(flight)
     lines = ['ArduCopter V4.5.1 (0ef2c1a7)']
@@ -339,8 +365,11 @@ def varied(value: int) -> bytes:
     return bytes([*out, value])
 
 
-def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
-    """A blackbox file of whole frames, every field a signed number of seven bits a byte."""
+def encoded(columns: dict[str, np.ndarray], header: dict[str, str], event: bytes = b'') -> bytes:
+    """A blackbox file of whole frames, every field a signed number of seven bits a byte.
+
+    event: stands half-way.
+    """
     names = ['loopIteration', 'time', *columns]
     lines = ['Product:Blackbox flight data recorder by Nicholas Sherlock', 'Data version:2',
              'I interval:1', 'P interval:1/1', f'Field I name:{",".join(names)}',
@@ -350,7 +379,8 @@ def encoded(columns: dict[str, np.ndarray], header: dict[str, str]) -> bytes:
              *(f'{key}:{value}' for key, value in header.items())]
     out = ''.join(f'H {line}\n' for line in lines).encode()
     rows = np.column_stack([np.arange(N), 5_000_000 + DT_US * np.arange(N), *columns.values()])
-    for row in np.rint(rows).astype(int).tolist():
+    for k, row in enumerate(np.rint(rows).astype(int).tolist()):
+        out += event if k == N // 2 else b''
         out += b'I' + b''.join(varied(2 * v if v >= 0 else -2 * v - 1) for v in row)
     return out + b'E\xffEnd of log\0'
 
@@ -378,7 +408,7 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
             (flight.angles * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.5 * np.pi]).T)},
     }
     header = {'motorOutput': '48,2047', 'motor_poles': '12', 'gyro_scale': '0x3f800000',
-              'rollPID': '45,80,40'}
+              'rollPID': '45,80,40', 'acc_1G': 'abc'}
     still = {name: 0.0 * values for name, values in columns.items()}
     path = tmp_path / 'LOG00001.BBL'
     path.write_bytes(encoded(still, header) + encoded(columns, header))
@@ -404,6 +434,71 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
     assert '--log: the file holds one log: found 2; leave it out' in refused(
         main, 'import', path, '--log', 2, '--out', tmp_path / 'b')
+
+
+def test_a_gain_that_a_knob_turns_has_the_time_of_the_log(flight, tmp_path):
+    """Which begins at one second; the board had run for five when this one began."""
+    pytest.importorskip('orangebox')
+    columns = {
+        **{f'gyroADC[{i}]': np.degrees(flight.rates[:, i]) for i in range(3)},
+        **{f'motor[{i}]': 48.0 + 1999.0 * flight.thrusts[p] for i, p in enumerate(BETAFLIGHT)}}
+    header = {'Firmware revision': 'Betaflight 4.5.1', 'motorOutput': '48,2047',
+              **{f'{axis}PID': '45,80,40' for axis in ('roll', 'pitch', 'yaw')}}
+    path = tmp_path / 'LOG00001.BBL'
+    path.write_bytes(encoded(columns, header, b'E\x0d\x12' + varied(2 * 90)))  # P of roll is 90
+    record, _ = imported(path, tmp_path / 'bag')
+    before, after = record.gains
+    assert (before.time_s, after.time_s) == (0.0, pytest.approx(1e-6 * DT_US * N / 2, abs=0.02))
+    assert after.values['roll.rate.kp'] == pytest.approx(2.0 * before.values['roll.rate.kp'])
+    assert after.values['yaw.rate.kp'] == pytest.approx(before.values['yaw.rate.kp'])
+
+
+def test_the_chirp_of_betaflight_is_what_its_controller_adds(tmp_path):
+    """Cosine, less below 1 Hz, and a lead-lag from 3 to 30 Hz: here by its gain and phase."""
+    t, rng = np.arange(0.0, 22.0, 1e-3), np.random.default_rng(1)
+    steep = np.log(20.0 / 0.5) / 20.0
+    hertz = 0.5 * np.exp(steep * t)
+    phase = np.mod(2.0 * np.pi * (hertz - 0.5) / steep, 2.0 * np.pi)
+    lead_lag = (1.0 + 1j * hertz / 30.0) / (1.0 + 1j * hertz / 3.0)
+    added = np.radians(230.0) * np.abs(lead_lag) * np.cos(phase + np.angle(lead_lag))
+    added *= np.minimum(hertz, 1.0)
+    header = {'Firmware revision': 'Betaflight 2025.12.0', 'chirp_amplitude_pitch': 230,
+              'chirp_lag_freq_hz': 3, 'chirp_lead_freq_hz': 30}
+    columns = {'loopIteration': np.arange(t.size), 'time': 1e6 * t,
+               **{f'gyroADC[{i}]': rng.normal(0.0, 1.0, t.size) for i in (0, 2)},
+               'gyroADC[1]': np.degrees(added), 'debug[0]': np.rint(5000.0 * phase),
+               **{f'motor[{i}]': rng.uniform(1400.0, 1600.0, t.size) for i in range(4)}}
+    path = tmp_path / 'LOG.csv'
+    np.savetxt(path, np.column_stack([*columns.values()]), '%.9g', ',', comments='',
+               header='\n'.join([*(f'"{k}","{v}"' for k, v in header.items()), ','.join(columns)]))
+    (chirp,) = read_log(path, format_of(path)).experiments
+    assert (chirp.axis, chirp.signal, chirp.injection) == ('pitch', 'chirp', 'rate')
+    n = chirp.added.time_s.size
+    np.testing.assert_allclose(chirp.added.values[500:, 0], added[t.size - n :][500:],
+                               atol=0.02 * np.radians(230.0))
+
+
+def test_high_resolution_is_seen_without_a_header(flight, tmp_path):
+    """blackbox_decode writes tenths of degrees and of sticks, and leaves the header out."""
+    rows = np.column_stack([
+        np.arange(N), DT_US * np.arange(N), 10.0 * np.degrees(flight.rates),
+        *(1000.0 + 1000.0 * flight.thrusts[place] for place in BETAFLIGHT),
+        np.full(N, 14_000.0)])
+    names = ['loopIteration', 'time', *(f'gyroADC[{i}]' for i in range(3)),
+             *(f'motor[{i}]' for i in range(4)), 'rcCommand[3]']
+    path = tmp_path / 'LOG.csv'
+    np.savetxt(path, rows, '%.9g', ',', header=','.join(names), comments='')
+    log = read_log(path, format_of(path))
+    np.testing.assert_allclose(log.rates.values, flight.rates, atol=1e-6)
+
+
+@pytest.mark.parametrize(('scale', 'rad_s'), [
+    ('0x3d79c190', np.radians(0.06097561)), (str(0x3D79C190), np.radians(0.06097561)),
+    ('0.0609756', np.radians(0.0609756)), ('1', np.radians(1.0)), ('?', np.radians(1.0)),
+])
+def test_the_scale_of_the_gyro_is_a_number_or_the_bits_of_one(scale, rad_s):
+    table = betaflight.Table('LOG', {}, header={'gyro_scale': scale})
+    assert betaflight._rate_unit(table, '') == pytest.approx(rad_s, rel=1e-5)
 
 
 @pytest.mark.parametrize('down', [True, False])

@@ -405,7 +405,8 @@ def _check_ranges(options: ColumnOptions, table: Table, units: Mapping[str, Unit
 def _fitting(raw: FloatArray, low: float, high: float) -> str:
     """The factor, or FACTOR:OFFSET, by which a column just fits into low..high."""
     bottom, top = float(np.nanmin(raw)), float(np.nanmax(raw))
-    factor = min([high / top] * (top > 0.0) + [low / bottom] * (bottom < 0.0))
+    factor = min([*([high / top] if top > 0.0 else []), *([low / bottom] if bottom < 0.0 else [])],
+                 default=0.0)
     if factor > 0.0:
         return f'{rounded_down(factor):g}'
     factor = rounded_down((high - low) / (top - bottom)) if top > bottom else 1.0

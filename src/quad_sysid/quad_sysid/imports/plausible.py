@@ -81,8 +81,9 @@ class Column:
 def check_times(time: Column, speed: float | None = None) -> list[str]:
     """Check the sample rate of times (n,) s against usual ones, and against `speed`, rad/s.
 
-    Returns a line on an unusual rate. Raises BadInputError, with a guess, for an unusual rate
-    without a given unit, unless `speed` shows a turn of less than half a radian between samples.
+    Returns a line on an unusual rate. Raises BadInputError, with a guess, for one that no logger
+    reaches, and for a slow one without a given unit, unless `speed` shows a turn of less than half
+    a radian between samples.
     """
     if time.values.size < 3:
         return []
@@ -91,16 +92,16 @@ def check_times(time: Column, speed: float | None = None) -> list[str]:
     if MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         return []
     measured = f'{rate:.4g} Hz in {time.unit.name}'
-    slow = rate < MIN_RATE_HZ and speed is not None and speed * step < MAX_TURN_RAD
-    if time.named or slow:
+    calm = speed is not None and speed * step < MAX_TURN_RAD
+    if rate < MIN_RATE_HZ and (time.named or calm):
         return [f'{time.name} gives an unusual sample rate of {measured}']
     guess = time_unit(time.values / time.unit.factor)
     advice = ' (seconds per unit)' if guess is None else \
         f' ({rate * time.unit.factor / UNITS["time"][guess][0]:.4g} Hz)'
     raise BadInputError(
         time.where, 'gives an impossible sample rate', measured,
-        f'name its unit, such as {time.advise(guess or "FACTOR")}{advice}, or {time.advise("s")} '
-        'if it is true',
+        f'name its unit, such as {time.advise(guess or "FACTOR")}{advice}'
+        + (f', or {time.advise("s")} if it is true' if rate < MIN_RATE_HZ else ''),
     )
 
 
@@ -139,7 +140,7 @@ def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
     compared = None if angle is None else turn_factor(rate.values, angle.values, dt)
     check_size(rate)
     if angle is None or compared is None:
-        return [] if rate.named else [alone + ('; add --angle' if angle is None else '')]
+        return [alone + ('; add --angle' if angle is None else '')]
     together, factor = compared
     if abs(together) < TOGETHER:
         loose = f'(correlation {together:.2f})'
