@@ -124,6 +124,19 @@ def test_few_flights_and_equal_ones_are_no_alarm():
     assert 'Nothing is said of drift' in ' '.join(str(Fleet(rows[:3])).split())
 
 
+@pytest.mark.parametrize('flights', [2, 3, 8])
+def test_few_flights_of_one_aircraft_say_how_far_they_scatter(flights):
+    """Five times what each estimate's own error says."""
+    rng, covered = np.random.default_rng(6), 0
+    for _ in range(200):
+        values = 1.0 + 0.5 * rng.standard_normal(flights) + 0.1 * rng.standard_normal(flights)
+        (found,) = over_fleet([[Series('a', tuple(map(str, range(flights))),
+                                       np.arange(float(flights)), values,
+                                       np.full(flights, 0.1))]])
+        covered += found.mean.low <= 1.0 <= found.mean.high
+    assert covered >= 180
+
+
 def test_the_mean_over_aircraft_covers_the_truth_and_tells_the_scatter():
     rng, covered, between = np.random.default_rng(5), 0, []
     for _ in range(200):

@@ -368,6 +368,7 @@ ALONE = {'angle': (), 'reference': ()}
         ({'rate': -1 / DEG}, ['rate=deg/s'], {}, '--unit rate=-0.0174533, or'),
         ({'t': 1e3}, [], {}, '--unit t=ms (250 Hz), or --unit t=s'),
         ({'t': 1e-3}, [], {}, '--unit t=FACTOR'),
+        ({}, ['t=us'], {}, '--unit t=s (250 Hz)'),
         ({'rate': 100.0 / DEG}, [], ALONE, '--unit rate=deg/s'),
     ],
 )
@@ -396,7 +397,7 @@ def test_a_unit_that_is_contradicted_is_refused_and_what_is_advised_mends_it(
         ({}, ['rate=deg/s', 'angle=deg', 'ref=deg'], {},
          'deg only, and the rate agrees: if both are in radians, --unit rate=rad/s --unit an'),
         ({'angle': 2.0 / 0.15, 'rate': 2.0 / 0.15, 'ref': 2.0 / 0.15}, [], {}, 'in degrees, --un'),
-        ({}, [], ALONE, 'rad/s, '),
+        ({}, [], ALONE, 'rad/s, '), ({}, ['rate=deg/s'], ALONE, 'its RMS is 0.0143 rad/s'),
         ({'t': 50.0}, ['t=s'], ALONE, '5 Hz in s'),
         ({'t': 1e3, 'rate': 1e-3}, [], ALONE, '0.25 Hz in s'),
     ],
@@ -414,7 +415,8 @@ def test_what_is_odd_is_told(tmp_path, scale, units, names, words):
         (MOTORS, lambda x: 1000.0 + 1000.0 * x, 'pulse_us'),
         (MOTORS, lambda x: 48.0 + 1200.0 * x, 'dshot'), (MOTORS, lambda x: 100.0 * x, 'percent'),
         (MOTORS, lambda x: 65535.0 * x, 'pwm16'), (MOTORS, lambda x: 30000.0 * (x - 0.5), None),
-        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'), (('u',), lambda x: 1850.0 * x, None)],
+        (('u',), lambda x: 1500.0 + 1000.0 * x, 'pulse_us'), (('u',), lambda x: 1850.0 * x, None),
+        (('u',), lambda x: 20.0 * (x - x.min()), None)],
 )
 def test_the_unit_of_a_command_that_is_advised_is_accepted(
     tmp_path, refusal, names, columns_of, advice

@@ -206,7 +206,7 @@ def _lines(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[FloatArray, ...
 def _scale(series: Sequence[Series]) -> _Scale:
     able = [one for one in series if _enough(one) and float(np.ptp(one.values)) > 0.0]
     if not able:
-        return _Scale(0.0, 1.0, 0.0)
+        return _Scale(_about_means(series), 1.0, 0.0)
     longest = max(len(one.values) for one in able)
     x, y, stds, there = (np.zeros((len(able), longest)) for _ in range(4))
     for i, each in enumerate(able):
@@ -227,6 +227,27 @@ def _scale(series: Sequence[Series]) -> _Scale:
     if beyond(0.0) > 0.0:
         tau = float(optimize.brentq(beyond, 0.0, most, rtol=1e-6))
     return _Scale(tau, *_prior(scatter(tau), free))
+
+
+def _about_means(series: Sequence[Series]) -> float:
+    """How flights scatter about their aircraft's mean, where no line can be laid through them.
+
+    At it the sum of weighted squares is what it should be (Paule, Mandel 1982).
+    """
+    several = [one for one in series if len(one.values) > 1]
+    free = sum(len(one.values) - 1 for one in several)
+
+    def beyond(tau: float) -> float:
+        total = 0.0
+        for one in several:
+            w = _weights(one, tau)
+            total += float((w * (one.values - (w * one.values).sum() / w.sum())**2).sum())
+        return total / free - 1.0
+
+    if not free or beyond(0.0) <= 0.0:
+        return 0.0
+    most = 10.0 * max(float(np.ptp(one.values)) for one in several)
+    return float(optimize.brentq(beyond, 0.0, most, rtol=1e-6))
 
 
 def _prior(scatter: FloatArray, free: FloatArray) -> tuple[float, float]:
@@ -332,7 +353,8 @@ def _mean(series: Sequence[Series], taus: Sequence[float], odd: set[str]) -> Mea
         std = float(np.sqrt((w * (y - mean)**2).sum() / (len(y) - 1) / w.sum()))
         half = float(stats.t.ppf(0.5 + INTERVAL / 2.0, len(y) - 1)) * std
     else:
-        half = float(stats.norm.ppf(0.5 + INTERVAL / 2.0) * np.sqrt(v[0]))
+        free = levels[0].flights - 1  # one flight: its estimate's own error is all that is known
+        half = float(stats.t.ppf(0.5 + INTERVAL / 2.0, free or np.inf) * np.sqrt(v[0]))
     return Mean(mean, mean - half, mean + half, between, float(np.median(taus)), tuple(levels))
 
 
