@@ -156,6 +156,7 @@ def test_where_a_model_is_wanted_the_folder_of_its_report_will_do(
         ('--separate', 'without effects needs --model'),
         ('--separate mode:swinging nothing --seconds 1', 'must be from 10'),
         ('--separate mode:swinging nothing --model absent.json', 'cannot be read'),
+        ('--separate backlash nothing --amplitude-deg 3', '--amplitude-deg: belongs to --band'),
         ('--band 0.1:20 --out no/such/folder/s.yaml', 'cannot be written'),
     ],
 )

@@ -13,7 +13,9 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import ForeignLog
 from quad_sysid.logview.flown import Flown, stretches
+from quad_sysid.logview.measure import look_at
 from quad_sysid.logview.read import look, of_log, of_record
+from quad_sysid.logview.response import feedback
 from quad_sysid.logview.spectrum import frames
 from quad_sysid.logview.step import ANGLE, responses
 from quad_sysid.loop.figures import step_figures
@@ -108,6 +110,15 @@ def test_the_step_response_is_the_loops_own(seen):
     assert found.figures.overshoot_pct == pytest.approx(true.overshoot_pct, abs=1.0)
     assert (found.low <= found.mean + 1e-9).all()
     assert (found.high >= found.mean - 1e-9).all()
+
+
+def test_the_controller_computes_at_its_own_cycle_and_not_at_the_logs(flight, seen):
+    slow, quick = seen.whole.axes['roll'].loop, look_at(
+        replace(of_record(flight, 'a bag'), loop_s=DT / 8)).whole.axes['roll'].loop
+    f = slow.frequency_hz
+    ratio = feedback(KNOWN, 'roll', f, DT / 8) / feedback(KNOWN, 'roll', f, DT)
+    np.testing.assert_allclose(quick.loop, ratio * slow.loop)
+    assert quick.phase_margin_deg > slow.phase_margin_deg + 0.1
 
 
 def test_margins_and_delays_are_those_of_plant_and_gains(seen):

@@ -76,10 +76,13 @@ def test_its_model_runs_as_any_other(found):
     z = qs.IOData(given['u'], given['y'], DT)
     assert model.compare(z, 1) > 95.0
     assert model.to_control().ninputs == 1
-    again = qs.Identified.from_json(model.to_json(), effects=(RIG.law(model.units),))
+    again = qs.Identified.from_json(model.to_json(), effects=(RIG.law(),))
     np.testing.assert_array_equal(again.simulate(z.u[:300]), model.simulate(z.u[:300]))
     with pytest.raises(qs.BadInputError, match='whose law is not here'):
         qs.Identified.from_json(model.to_json())
+    rpm = replace(model, units=replace(model.units, per_rate=np.pi / 30.0))
+    law, = qs.Identified.from_json(rpm.to_json(), effects=(RIG.law(),)).own_effects
+    assert law.units == rpm.units
     judged = qs.evaluate(model, qs.from_arrays(**given))
     assert judged.after < 0.2 * judged.before < 0.2 * judged.hold
     # in wide motion, where friction is little, it is the plant: gain over lag and damping

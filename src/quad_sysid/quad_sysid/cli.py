@@ -134,12 +134,12 @@ def _design_parser(commands: Commands) -> None:
     parser.add_argument('--seconds', type=float, metavar='S',
                         help='length of the training (default: with --separate 60; with --band '
                         'one period by eq. (9), which ends somewhat above LOW)')
-    parser.add_argument('--rate', type=float, default=250.0, metavar='HZ',
+    parser.add_argument('--rate', type=float, metavar='HZ',
                         help='with --band: sample rate (default 250)')
     parser.add_argument('--axis', choices=AXES,
                         help='one, since a schedule excites one (default: roll, or '
                         "the model's axis with the nearest rivals)")
-    parser.add_argument('--amplitude-deg', type=float, default=12.0, metavar='DEG',
+    parser.add_argument('--amplitude-deg', type=float, metavar='DEG',
                         help='with --band: amplitude of the angle, degrees (default 12)')
     parser.add_argument('--out', metavar='FILE', type=Path,
                         help='write a schedule as YAML to this new file')
@@ -269,10 +269,12 @@ def _design(options: argparse.Namespace) -> int:
     if options.separate is not None:
         text, content = _separation(options)
     else:
-        design = design_excitation(*parse_band(options.band), options.rate, options.seconds)
+        rate, size = ((given if given is not None else usual) for given, usual in (
+            (options.rate, 250.0), (options.amplitude_deg, 12.0)))
+        design = design_excitation(*parse_band(options.band), rate, options.seconds)
         text = '\n'.join(part for line in design.text().splitlines()
                          for part in wrapped(line, '  ', ''))
-        content = design.to_schedule_yaml(options.axis or 'roll', options.amplitude_deg)
+        content = design.to_schedule_yaml(options.axis or 'roll', size)
     if options.out:
         write_whole(options.out, content)
         text += f'\nschedule in {options.out}'
@@ -288,6 +290,11 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
     from quad_sysid.separation import words
     from quad_sysid.separation.design import nearest
 
+    for name in ('rate', 'amplitude_deg'):
+        if getattr(options, name) is not None:
+            raise BadInputError(f"--{name.replace('_', '-')}", 'belongs to --band: --separate '
+                                'compares amplitudes up to 20 degrees', getattr(options, name),
+                                'leave it out, and choose among the flights in the table')
     names, own = options.separate, own_effects(options.effects)
     seconds = 60.0 if options.seconds is None else options.seconds
     if len(names) not in (0, 2):

@@ -6,6 +6,7 @@ Wiring only: signals, limits and states are in signals/, parameters in excitatio
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +52,8 @@ RELAY, FLAGS, REFUSED = ': excitation', 'flags of the STM32', 'excitation_refuse
 """How the bridge reports on /diagnostics that the STM32 refuses."""
 REFUSAL_S = 0.5
 """After the beginning of a segment, s: an older refusal may still be reported."""
+FIGURE = re.compile(r'\d+\.\d+')
+"""An age or a voltage in a reason, which changes all the time."""
 LEVELS = {State.ENDING: WARN, State.ABORTED: ERROR}
 
 
@@ -172,8 +175,10 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
 
     def _try_autostart(self) -> None:
         if self._waiting:
-            self._refused = self._start()
+            before, self._refused = self._refused, self._start()
             self._waiting = bool(self._refused)
+            if FIGURE.sub('', self._refused) not in {'', FIGURE.sub('', before)}:
+                self.get_logger().info(f'waits to start: {self._refused}')
 
     def _on_start(self, request: Any, response: Any) -> Any:
         del request

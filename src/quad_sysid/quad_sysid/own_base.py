@@ -125,7 +125,7 @@ class Base:
     def law(self, units: Units | None = None) -> Effect:
         """The law as a stored model needs it: from_json(text, effects=(base.law(),)).
 
-        units: of the arrays that the model was identified from.
+        units: of the arrays; a stored model knows those that it was identified from.
         """
         return _Law(self, units or Units())
 
@@ -155,6 +155,10 @@ class _Law(Effect):
     """A base's law as an effect."""
 
     kind = LAW
+
+    def in_units(self, units: Units | None) -> Effect:
+        """The same law for arrays in other units."""
+        return self.base.law(units)
 
     def __init__(self, base: Base, units: Units) -> None:
         self.base, self.units, self.name = base, units, base.name

@@ -60,6 +60,8 @@ class Flown:
     gains: tuple[GainChange, ...] = ()
     lacks: tuple[str, ...] = ()
     """Signals that the log lacks, each with the measurement that needs it."""
+    loop_s: float | None = None
+    """Cycle of the controller, s; None: that of the grid."""
     warnings: tuple[str, ...] = ()
     proposed: tuple[tuple[str, float, float], ...] = ()
     """Role (`train`, `validation`), start and end, s, of stretches for an identification."""
@@ -75,6 +77,11 @@ class Flown:
     def n(self) -> int:
         """Number of samples."""
         return len(self.rates)
+
+    @property
+    def cycle_s(self) -> float:
+        """Time in which the controller computes once, s."""
+        return self.dt if self.loop_s is None else min(self.loop_s, self.dt)
 
     @property
     def length_s(self) -> float:

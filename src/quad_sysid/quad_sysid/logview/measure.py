@@ -168,7 +168,8 @@ def _axis(flown: Flown, axis: str, usable: npt.NDArray[np.bool_],
         axis, steps, _loop(flown, i, flying, gains, before if same else None,
                            follows=_follows(tracking, rate, usable)), tracking,
         gyro, gyro_before,
-        _d_frames(gyro, gains, axis, dt) if d_term is None else frames(d_term, usable, dt))
+        _d_frames(gyro, gains, axis, flown.cycle_s) if d_term is None else
+        frames(d_term, usable, dt))
 
 
 def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,
@@ -192,7 +193,7 @@ def _loop(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping[st
         spectra = response.spectra(
             instrument, instrument if command is None else command, rate, usable, dt)
         return None if spectra is None else response.loop_response(
-            spectra, dt, gains if command is not None else {}, axis)
+            spectra, flown.cycle_s, gains if command is not None else {}, axis)
 
     loop = by(injected) if injected is not None and command is not None else None
     if loop is not None:
@@ -222,7 +223,7 @@ def _delayed(flown: Flown, i: int, usable: npt.NDArray[np.bool_], gains: Mapping
                 + ('' if delays[0] else ', filters'), rest, crossover, 'measurement'))
         parts.append(
             response.of_seconds('command to acceleration', total, crossover, 'measurement'))
-    parts += _d_delay(gains, axis, dt, crossover)
+    parts += _d_delay(gains, axis, flown.cycle_s, crossover)
     return replace(loop, delays=tuple(parts), delay_hz=crossover)
 
 

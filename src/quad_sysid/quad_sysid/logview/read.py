@@ -145,6 +145,7 @@ def of_log(log: ForeignLog) -> Flown:
     else:
         flown = replace(of_record(record, log.kind),
                         warnings=(*log.checks, *warnings, *uneven(notes)))
+    flown = replace(flown, loop_s=log.loop_s)
     times = laid.times
     if log.d_term is not None and len(times) == flown.n:
         width = log.d_term.values.shape[1]

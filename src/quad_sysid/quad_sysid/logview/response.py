@@ -118,7 +118,10 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, usable: npt.NDArray[np.
 
 def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
                   axis: str) -> LoopResponse | None:
-    """The closed loop, and with gains its margins; None where nothing is coherent."""
+    """The closed loop, and with gains its margins; None where nothing is coherent.
+
+    dt: the controller's cycle, s, which may be shorter than the log's.
+    """
     f = measured.frequency_hz
     coherence = measured.coherence(measured.yr, measured.yy)
     excited = np.zeros(1, bool) if len(f) < 2 else \

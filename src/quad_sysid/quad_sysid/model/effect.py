@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import MISSING, AxisData, Span
+from quad_sysid.units import Units
 
 Settings = Mapping[str, Any]
 Present = TypeVar('Present')
@@ -252,6 +253,11 @@ class Effect:
         if not why and 'motors' in self.signals:
             why = data.lacking_motors(single=len(self.motors) == 1)
         return why
+
+    def in_units(self, units: Units | None) -> Effect:
+        """The effect for arrays in these units; only the law of a base of one's own has any."""
+        del units
+        return self
 
     @property
     def signal_names(self) -> list[str]:

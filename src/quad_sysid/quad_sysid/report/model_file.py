@@ -116,11 +116,13 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
     effects = tuple(own_effects)
     models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', effects))
               for axis, tree in axes.items()}
-    return {
-        axis: replace(model, own_effects=effects, reference=None if model.reference is None
-                      else replace(model.reference, own_effects=effects))
-        for axis, model in models.items()
-    }
+    return {axis: _with_own(model, effects) for axis, model in models.items()}
+
+
+def _with_own(model: AxisModel, effects: Sequence[Effect]) -> AxisModel:
+    """A model with the caller's effects, for arrays in the units that it was identified from."""
+    return replace(model, own_effects=tuple(effect.in_units(model.units) for effect in effects),
+                   reference=model.reference and _with_own(model.reference, effects))
 
 
 def pick(models: Mapping[str, AxisModel], axes: str | None,
