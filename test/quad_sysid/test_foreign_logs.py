@@ -313,6 +313,27 @@ def test_gains_that_are_set_in_flight_hold_from_then_on(flight, tmp_path, firmwa
             for change in record.gains] == [pytest.approx([0.2, 0.3]), pytest.approx([0.4, 0.3])]
 
 
+def test_a_log_has_the_date_of_its_gps_or_its_header(flight, tmp_path):
+    week = 2400
+    begun_s = 315_964_800 + 604_800 * week - 18  # GPS time is ahead by the leap seconds
+    messages = ardupilot_messages(flight)
+    messages['GPS'] = ('TimeUS', 'GWk', 'GMS'), np.array([
+        [3_000_000, 0, 0], [5_000_000, week, 2000], [6_000_000, week, 3000]])
+    found, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'ardupilot')
+    assert 1e-9 * found.t0_ns == pytest.approx(begun_s, abs=0.01)
+    date = '"Log start datetime","2026-01-04T00:00:07.000+00:00"'
+    for name, text, start_s in (('dated', date, 1_767_484_807.0),
+                                ('no clock', date.replace('2026', '0000'), 1.0)):
+        path = blackbox(tmp_path / f'{name}.csv', flight, (text,))
+        assert 1e-9 * imported(path, tmp_path / name)[0].t0_ns == pytest.approx(start_s, abs=0.01)
+    pytest.importorskip('pyulog')
+    topics = px4_topics(flight)
+    topics['vehicle_gps_position'] = {'timestamp': np.array([4_000_000, 5_000_000]),
+                                      'time_utc_usec': np.array([0.0, 1e15 * 2.0])}
+    found, _ = imported(ulog(tmp_path / 'log.ulg', topics, {}), tmp_path / 'px4')
+    assert 1e-9 * found.t0_ns == pytest.approx(2e9 - 3.0, abs=200.0)  # of a float of 32 bits
+
+
 def test_a_text_log_of_a_ground_station_is_the_binary_one(flight, tmp_path):
     messages = ardupilot_messages(flight)
     lines = ['ArduCopter V4.5.1 (0ef2c1a7)']

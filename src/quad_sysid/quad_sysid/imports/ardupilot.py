@@ -49,6 +49,8 @@ MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
+GPS_EPOCH_S, WEEK_S = 315_964_800.0 - 18.0, 604_800.0
+"""Begin of GPS time in UTC, s, by the leap seconds since 2017; length of its weeks."""
 AS_FAST = 0.9
 """Share of the gyro's rate from which on RATE, which the controller saw, is preferred."""
 FASTER = ("set bit 0 (fast attitude) of LOG_BITMASK: RATE is then logged at the loop's rate, not "
@@ -85,7 +87,7 @@ OUTPUTS = Signal('control', within('RATE', 'AOut', 'ROut', 'POut', 'YOut'), '-1.
                  'as they are, pitch and yaw turned; U is in the unit of these outputs',
                  lambda values: values * [1.0, *MIRROR])
 MESSAGES = ('RATE', 'ATT', 'IMU', 'XKF1', 'NKF1', 'CTUN', 'BAT', 'RCOU', 'ESC', 'EV', 'SIDD',
-            'SIDS')
+            'SIDS', 'GPS')
 NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what its outputs do to "
             'the motors')
 AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "
@@ -122,7 +124,7 @@ def read(path: Path) -> ForeignLog:
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains(table.header), faster=FASTER, warnings=tuple(warnings),
                        gain_changes=changes_of(table, ARDUPILOT.names if units else (), gains),
-                       loop_s=_loop_s(table.header),
+                       loop_s=_loop_s(table.header), utc_s=_utc_s(table),
                        experiments=tuple(_experiments(table)))
 
 
@@ -130,6 +132,15 @@ def _loop_s(parameters: Mapping[str, float]) -> float | None:
     """The controller's cycle, s; None where it is not stated, or of a thread of its own."""
     hz = parameters.get('SCHED_LOOP_RATE', 0.0)
     return 1.0 / hz if hz > 0.0 and not parameters.get('FSTRATE_ENABLE') else None
+
+
+def _utc_s(table: Table) -> float | None:
+    """Time 0 in UTC, s, by the GPS; None without a fix."""
+    gps = table.stream('GPS.GWk', 'GPS.GMS')
+    if gps is None or not (fixed := gps.values[:, 0] > 0.0).any():
+        return None
+    week, ms = gps.values[fixed].T
+    return float(np.median(GPS_EPOCH_S + WEEK_S * week + 1e-3 * ms - gps.time_s[fixed]))
 
 
 def _climb(reading: Reading) -> None:

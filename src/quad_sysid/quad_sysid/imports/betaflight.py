@@ -16,6 +16,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
         gains.gains)
     return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=gains.gains,
                        loop_s=_loop_s(header),
+                       utc_s=_utc_s(header, float(table.times[gyro[0]][0])),
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
 
@@ -135,6 +137,15 @@ def _loop_s(header: Mapping[str, str]) -> float | None:
     except (KeyError, ValueError):
         return None
     return 1e-6 * us if us > 0.0 else None
+
+
+def _utc_s(header: Mapping[str, str], first_s: float) -> float | None:
+    """Time 0 in UTC, s, by the header's start at `first_s`; None where the board had no clock."""
+    try:
+        begun = datetime.fromisoformat(header.get('Log start datetime', ''))
+        return begun.timestamp() - first_s
+    except (ValueError, OverflowError, OSError):
+        return None
 
 
 def _usual_throttle(table: Table) -> float | None:

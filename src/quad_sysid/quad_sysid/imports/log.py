@@ -98,6 +98,8 @@ class ForeignLog:
     """(n, k) measured speeds of the rotors in the order of the motors, rad/s; NaN: not known."""
     loop_s: float | None = None
     """Cycle of the controller that makes the commands, s; None: not known, all are logged."""
+    utc_s: float | None = None
+    """Time 0 of its clock in UTC, s since 1970; None: not known."""
     armed: Stream | None = None
     """(n, 1) 1 where the motors follow the commands, 0 where they stand; None: always 1."""
     axes: tuple[str, ...] = AXES

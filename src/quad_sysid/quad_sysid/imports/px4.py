@@ -80,10 +80,11 @@ SIGNALS = (
     Signal('position', within('vehicle_local_position', 'x', 'y', 'z'), 'm', 'NED to ENU', enu),
     Signal('battery', within('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
+GPS = ('vehicle_gps_position', 'sensor_gps')
 TOPICS = (
     *dict.fromkeys(signal.columns[0].partition('.')[0] for signal in SIGNALS), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
-    'vehicle_status', 'esc_status', AUTOTUNE,
+    'vehicle_status', 'esc_status', AUTOTUNE, *GPS,
 )
 
 
@@ -116,8 +117,17 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
     gains = partial(_gains, table, units)
     return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains(table.header), gain_changes=changes_of(table, PX4.names, gains),
-                       faster=faster, warnings=(*_vehicle(table), *warnings),
+                       utc_s=_utc_s(table), faster=faster,
+                       warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))
+
+
+def _utc_s(table: Table) -> float | None:
+    """Time 0 in UTC, s, by the GPS; None without a fix."""
+    gps = next((s for topic in GPS if (s := table.stream(f'{topic}.time_utc_usec'))), None)
+    if gps is None or not (fixed := gps.values[:, 0] > 0.0).any():
+        return None
+    return float(np.median(1e-6 * gps.values[fixed, 0] - gps.time_s[fixed]))
 
 
 def _experiments(table: Table) -> tuple[Experiment, ...]:

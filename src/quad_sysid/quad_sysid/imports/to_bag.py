@@ -140,7 +140,8 @@ def record_of(
     if log.kind == 'a table':  # a row is whole or a gap
         is_lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(is_lost[:, None], np.nan, rates)
-    start = grid.times[0] if grid.times[0] > clock.EPOCH_S else 1.0
+    utc_s = grid.times[0] + (log.utc_s or 0.0)
+    start = utc_s if utc_s > clock.EPOCH_S else 1.0
     record = Record(source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
                     rates=rates, control=control, wrench=None if motors is not None else control,
                     motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
