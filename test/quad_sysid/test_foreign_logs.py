@@ -313,6 +313,17 @@ def test_gains_that_are_set_in_flight_hold_from_then_on(flight, tmp_path, firmwa
             for change in record.gains] == [pytest.approx([0.2, 0.3]), pytest.approx([0.4, 0.3])]
 
 
+def test_copter_3_3_logs_rates_in_hundredths_of_a_degree(flight, tmp_path):
+    messages = ardupilot_messages(flight)
+    labels, rows = messages['RATE']
+    centi = rows * [1.0, *(1.0 if name.endswith('Out') else 100.0 for name in labels[1:])]
+    messages['RATE'] = labels, centi
+    messages['IMU'] = ('TimeUS', 'GyrX', 'GyrY', 'GyrZ'), np.column_stack(
+        [rows[:, 0], flight.rates * FRD])[::10]
+    record, _ = imported(dataflash(tmp_path / 'log.bin', messages, {}), tmp_path / 'bag')
+    check_motion(record, flight, angles=1e-4)
+
+
 def test_a_log_has_the_date_of_its_gps_or_its_header(flight, tmp_path):
     week = 2400
     begun_s = 315_964_800 + 604_800 * week - 18  # GPS time is ahead by the leap seconds

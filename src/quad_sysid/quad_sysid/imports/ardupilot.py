@@ -49,6 +49,8 @@ MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
+HUNDREDTHS = (30.0, 300.0)
+"""Ratio of RATE in hundredths of a degree to the gyro in degrees."""
 GPS_EPOCH_S, WEEK_S = 315_964_800.0 - 18.0, 604_800.0
 """Begin of GPS time in UTC, s, by the leap seconds since 2017; length of its weeks."""
 AS_FAST = 0.9
@@ -93,12 +95,12 @@ NO_GAINS = ("ArduPilot's gains are not carried over: {}, so nobody knows what it
 AT_HOVER = ("ArduPilot's gains are stated for the thrust of hover: between its outputs and the "
             'pulses stands a thrust curve (MOT_THST_EXPO, MOT_THST_HOVER)')
 INJECTED: Mapping[int, tuple[str, str, float]] = {
-    **{first + i: (axis, 'attitude', DEGREE) for first in (1, 4) for i, axis in enumerate(AXES)},
+    **{first + i: (AXES[i], 'attitude', DEGREE) for first in (1, 4) for i in (0, 1)},
     **{7 + i: (axis, 'rate', DEGREE) for i, axis in enumerate(AXES)},
     **{10 + i: (axis, 'control', 1.0) for i, axis in enumerate(AXES)},
 }
-"""By SID_AXIS: the axis, the place and the factor to its unit. Others (thrust, position) move no
-single axis."""
+"""By SID_AXIS: the axis, the place and the factor to its unit. Others move no single axis (thrust,
+position), or are added to the rate that the pilot asks of the heading (3, 6): no place of ours."""
 OF_CHIRP = {'Mag': 'magnitude', 'FSt': 'start_hz', 'FSp': 'stop_hz', 'TR': 'length_s'}
 """What SIDS says of the chirp, and how a segment calls it."""
 
@@ -221,7 +223,7 @@ def _load(path: Path) -> Table:
     begun = {name: value for name, value in log.begun.items() if name in ARDUPILOT.names}
     table = Table(str(path), columns, times, header={**log.parameters, **begun},
                   changed=tuple(log.changed))
-    if log.in_ms and 'RATE.R' in columns:
+    if 'RATE.R' in columns and (log.in_ms or _hundredths(columns)):
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * 0.01
     for signal, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
@@ -236,6 +238,15 @@ def _load(path: Path) -> Table:
     return replace(table, notes=(*table.notes, (
         f'damaged: {log.skipped} {what} in {log.bursts} places belong to no whole message and '
         'are left out')))
+
+
+def _hundredths(columns: Mapping[str, FloatArray]) -> bool:
+    """Whether RATE is in hundredths of a degree a second, as in Copter 3.3, by the gyro's size."""
+    if 'IMU.GyrX' not in columns:
+        return False
+    gyro = float(np.nanstd(columns['IMU.GyrX'])) / DEGREE
+    low, high = HUNDREDTHS
+    return low < float(np.nanstd(columns['RATE.R'])) / max(gyro, 1e-9) < high
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]]:

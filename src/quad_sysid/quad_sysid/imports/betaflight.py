@@ -304,7 +304,9 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
             'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}
-    notes = (f'damaged in {faults} places: what cannot be read there is left out',)[: bool(faults)]
+    notes = tuple(
+        [f'damaged in {faults} places: what cannot be read there is left out'] * bool(faults)
+        + [f'log {log} of {count} in the file: --log reads another'] * (count > 1))
     times = columns.get('time', np.zeros(len(rows)))
     adjusted = [Adjustment(1e-6 * float(times[min(row, len(times) - 1)]), function, value)
                 for row, function, value in events.changes]
