@@ -182,7 +182,8 @@ class AxisModel:
             f'{self.axis} at {1.0 / self.dt:.6g} Hz: {self.law.name if self.law else "the base"}'
             + (parts and f' with {parts}'),
             *(f'  {name} {f"{p.value:.4g}" if p.std is None else with_error(p.value, p.std)} '
-              f'{p.unit}' for name, p in self._named if self.shows(p)),
+              f'{p.unit}' for name, own in self._named if self.shows(own)
+              for p in (self.in_units(own),)),
         ])
 
     @property
