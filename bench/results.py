@@ -20,8 +20,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import effects_judge as judge
+import numpy as np
 from effects_judge import SPOILED, extra, right
 from intervals import WITHIN
 
@@ -63,8 +63,8 @@ def listed(rows: Sequence[Row]) -> str:
     inside = [ok for each in clear.values() for r in each for ok in r['covered'].values()]
     silent = 'no_missing_effect'
     return table(['', 'target', 'result'], [
-        [f'right name, where the true structure lowers the error by a factor of {judge.WORTH:g} '
-         'or more', '98 %', share([right(r) for r in clear['named']])],
+        [f'right name, where the truth lowers the error by a factor of {judge.WORTH:g} or more',
+         '98 %', share([right(r) for r in clear['named']])],
         ['an additional name there', '1 %', share([extra(r) for r in clear['named']])],
         ['both names of a pair on the first two rungs', '95 %',
          share([judge.on_two_rungs(r) for r in clear['pair']])],
@@ -76,7 +76,8 @@ def listed(rows: Sequence[Row]) -> str:
          f'{figures["gap_closed_median"]:.2f}'],
         ['95 % intervals of the parameters that hold the truth', '90 %', share(inside)],
         ['inventions: not silent', '95 %', share([r['verdict'] != silent for r in odd])],
-        ['inventions: gap closed, median', '0.5', f'{figures["undeclared_gap_closed_median"]:.2f}'],
+        ['inventions: gap closed, median', '0.5',
+         f'{figures["undeclared_gap_closed_median"]:.2f}'],
         ['inventions: a wrong name, with a probability over 0.5', '3 %',
          share([bool(judge.wrong_names(r)) for r in odd])],
         ['error made worse by over 5 %', 'none',
