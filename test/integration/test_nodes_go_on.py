@@ -15,9 +15,9 @@ OK, WARN, ERROR = 0, 1, 2
 EACH_ONCE = f"""{QUICKLY}
 import quad_sysid.identification_node as node
 run, found = node.session.run, {{}}
-def once(bags, out, wanted):
+def once(bags, out, wanted, progress):
     bag = node.Path(bags[0]).resolve()
-    found[bag] = found[bag] if bag in found else run(bags, out, wanted)
+    found[bag] = found[bag] if bag in found else run(bags, out, wanted, progress)
     return found[bag]
 node.session.run = once
 """

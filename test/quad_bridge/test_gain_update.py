@@ -416,6 +416,21 @@ def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(tm
             bench.until('read back')
     assert bench.stm32.of([KP]) == pytest.approx((0.12,))
     bench.until('confirmed')
+    bench.gains.protocol.whole_sets = False  # as of PX4, where gains of both would mix
+    list(bench.goes_on(1.0))
+    assert 'in 2 steps' in bench.gains.ask({'roll.rate.kp': 0.45, 'rollback': True}, bench.now_s)
+
+
+def test_gains_that_another_program_has_set_are_watched_anew(tmp_path):
+    bench, anew = Bench(tmp_path), []
+    gains = bench.gains
+    gains.watch.restart = lambda: anew.append(1)
+    for value, times in ((0.1, 0), (0.3, 1), (0.3, 1)):
+        active = {**gains.active, 'roll.rate.kp': value} if value != 0.1 else gains.active
+        gains.protocol.active = active
+        gains.protocol.events.append(protocol.GainEvent(protocol.What.READ, active=active))
+        gains._take_events()
+        assert len(anew) == times
 
 
 def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):

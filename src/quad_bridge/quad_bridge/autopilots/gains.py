@@ -49,6 +49,7 @@ class ParameterGains:
 
     names: Mapping[str, str] = {}  # contract names are its own
     pulses = False  # it takes no test pulses: that it flies shows its signs
+    whole_sets = False  # its parameters are written one after the other
 
     def __init__(self, table: Table, *, bytewise: bool) -> None:
         """`bytewise`: an integer's bytes lie in a value's float (PX4)."""

@@ -77,7 +77,7 @@ class GainProtocol:
     """One conversation with one STM32; `restart` begins another. Times in s on a steady clock."""
 
     names = WIRE_NAMES
-    pulses = True
+    pulses = whole_sets = True
     cycles_hz = 0.0
     in_common: frozenset[str] = frozenset()
 

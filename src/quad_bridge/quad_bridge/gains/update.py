@@ -120,6 +120,7 @@ class GainUpdates:
         self._remaining_s = 0.0  # time of flight until the next step, or the confirmation
         self._looked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
+        self._in_force: Mapping[str, float] = {}  # as last read back or written
         self._good: list[Mapping[str, float]] = []  # sets that have flown well under this bridge
         self._rate_kp = np.ones(3)
 
@@ -229,7 +230,8 @@ class GainUpdates:
     def _has_flown(self, gains: Mapping[str, float]) -> bool:
         """Whether the active set with these gains is one that has flown well."""
         wanted = {**self.active, **gains}
-        return any(
+        climbs = any(name.startswith('climb.') for name in gains)  # which fly in one mode only
+        return self.protocol.whole_sets and not climbs and any(
             wanted.keys() == good.keys()
             and all(math.isclose(wanted[n], value, rel_tol=1e-6) for n, value in good.items())
             for good in self._good
@@ -296,7 +298,7 @@ class GainUpdates:
 
     def know(self, record: Mapping[str, Any]) -> None:
         """Set the stored polarity record of the connected aircraft."""
-        self._good.clear()
+        self._good = []
         self.polarity.load(record)
         self.watch.know(record.get(FLIGHT))
         self._trial = record.get(TRIAL, {})
@@ -317,6 +319,7 @@ class GainUpdates:
 
     def restarted(self) -> None:
         """Handle a restart of the STM32, or another one."""
+        self._good = []
         self.protocol.restart()
         self._take_events()
 
@@ -374,7 +377,7 @@ class GainUpdates:
             self._looked_s = now_s
             if self.watch.good:
                 self._flown = True
-                self._good.append(dict(self.active))
+                self._good = [*self._good, dict(self.active)]
                 self._history.write('flown')
                 self._history.keep_flight(self.watch.before)
                 self.watch.know(self.watch.before)
@@ -421,7 +424,11 @@ class GainUpdates:
             if self._history.leave(self.aircraft):  # plugged in anew, and its files not open yet
                 self.polarity.load({})
                 self.watch.know(None)
+                self._good = []
             self._flown = False
+            if self.active != self._in_force:  # another program's: nobody has seen them fly
+                self.watch.restart()
+            self._in_force = dict(self.active)
             self._history.note_active(self.active)
             going_back, self._going_back = self._going_back, []
             for reply in going_back:
@@ -446,7 +453,7 @@ class GainUpdates:
 
     def _confirmed(self, event: GainEvent) -> None:
         self._ended('confirmed', event.reason, flown=True)
-        self._good.append(dict(self.active))
+        self._good = [*self._good, dict(self.active)]
         self._flown = False  # as the next one's "before", which this flight may still give
         self.notes.append(Note(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
         for reply in self._going_back:
@@ -470,6 +477,7 @@ class GainUpdates:
         self._know(event)
         if update is None:
             return
+        self._in_force = dict(self.active)
         step, steps = update.written + 1, len(update.steps)
         update.written, last = step, step == steps
         update.armed = update.armed or bool(self._cycles.flags & ARMED)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 SHOWN = 0.5
 """Share of an aircraft's flights that show an effect whose size is followed over time."""
+FIRST_DAY = 1000.0
+"""Day since 1970 from which a flight has a date: a log without a clock begins at one second."""
 GROUPS = ('aircraft', 'folder', 'none')
 """What is one aircraft: the first folder, the whole folder of a bag, or all flights."""
 UNITS = {'gain': 'rad/s²', 'lag': 's', 'delay': 's', 'damping': '1/s', 'bias': 'rad/s²'}
@@ -150,7 +152,8 @@ class Summary:
                         by_craft.setdefault(row['aircraft'], []).append(
                             (row['start_ns'] / 86_400e9, row['bag'], *of_bag[row['bag']]))
                 series = []
-                for craft, some in sorted(by_craft.items()):
+                for craft, every in sorted(by_craft.items()):
+                    some = [one for one in every if one[0] > FIRST_DAY] or every
                     shown = sum(value != 0.0 for *_, value, _ in some) / len(some)
                     if shown < SHOWN:
                         continue

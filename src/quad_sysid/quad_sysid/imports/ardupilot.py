@@ -49,8 +49,12 @@ MAX_PULSE = 3000.0
 """µs. No speed controller is sent a longer one."""
 MIN_MESSAGES = 10
 """Messages of CTUN that say how it climbs."""
+LEAST_TURN = 0.1
+"""Least size of the gyro, deg/s, beside which RATE is judged: at rest there is noise only."""
 HUNDREDTHS = (30.0, 300.0)
 """Ratio of RATE in hundredths of a degree to the gyro in degrees."""
+FIRST_WEEK = 1500.0
+"""Of a date: before a fix receivers count from 1980 or 1999."""
 GPS_EPOCH_S, WEEK_S = 315_964_800.0 - 18.0, 604_800.0
 """Begin of GPS time in UTC, s, by the leap seconds since 2017; length of its weeks."""
 AS_FAST = 0.9
@@ -139,7 +143,7 @@ def _loop_s(parameters: Mapping[str, float]) -> float | None:
 def _utc_s(table: Table) -> float | None:
     """Time 0 in UTC, s, by the GPS; None without a fix."""
     gps = table.stream('GPS.GWk', 'GPS.GMS')
-    if gps is None or not (fixed := gps.values[:, 0] > 0.0).any():
+    if gps is None or not (fixed := gps.values[:, 0] > FIRST_WEEK).any():
         return None
     week, ms = gps.values[fixed].T
     return float(np.median(GPS_EPOCH_S + WEEK_S * week + 1e-3 * ms - gps.time_s[fixed]))
@@ -244,9 +248,10 @@ def _hundredths(columns: Mapping[str, FloatArray]) -> bool:
     """Whether RATE is in hundredths of a degree a second, as in Copter 3.3, by the gyro's size."""
     if 'IMU.GyrX' not in columns:
         return False
-    gyro = float(np.nanstd(columns['IMU.GyrX'])) / DEGREE
+    rate, gyro = (float(np.nanmedian(np.abs(x - np.nanmedian(x))))  # whatever damaged ones hold
+                  for x in (columns['RATE.R'], columns['IMU.GyrX'] / DEGREE))
     low, high = HUNDREDTHS
-    return low < float(np.nanstd(columns['RATE.R'])) / max(gyro, 1e-9) < high
+    return low < rate / max(gyro, LEAST_TURN) < high
 
 
 def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]]:

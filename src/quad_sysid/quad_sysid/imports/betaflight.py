@@ -16,7 +16,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timezone
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -143,6 +143,8 @@ def _utc_s(header: Mapping[str, str], first_s: float) -> float | None:
     """Time 0 in UTC, s, by the header's start at `first_s`; None where the board had no clock."""
     try:
         begun = datetime.fromisoformat(header.get('Log start datetime', ''))
+        if begun.tzinfo is None:
+            begun = begun.replace(tzinfo=timezone.utc)
         return begun.timestamp() - first_s
     except (ValueError, OverflowError, OSError):
         return None
@@ -209,11 +211,12 @@ def _shaped(times: FloatArray, angle: FloatArray, fields: Mapping[str, str]) -> 
     The cosine, smaller below CHIRP_HZ, behind a lead-lag of first order (chirp.c, pid_init.c).
     """
     dt = float(np.median(np.diff(times)))
-    apart = max(round(SMOOTH_S / dt), 1)
+    near = max(round(SMOOTH_S / dt), 1)
     turned = np.unwrap(angle)
     rows = np.arange(turned.size)
-    ahead, behind = np.minimum(rows + apart, turned.size - 1), np.maximum(rows - apart, 0)
+    ahead, behind = np.minimum(rows + near, turned.size - 1), np.maximum(rows - near, 0)
     hertz = (turned[ahead] - turned[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
+    hertz = np.maximum.accumulate(np.abs(hertz))  # it rises, also where the log is too slow for it
     wave = np.cos(angle) * np.minimum(hertz / CHIRP_HZ, 1.0)
     lag, lead = (number(fields, f'chirp_{name}_freq_hz') for name in ('lag', 'lead'))
     if lag > 0.0 and lead > 0.0:

@@ -127,7 +127,7 @@ def _steeper_yaw(header: Mapping[str, str]) -> bool:
     """Whether yaw's I is multiplied: Betaflight from 4.0 on, but for its integrated yaw."""
     version = VERSION.search(str(header.get('Firmware revision', '')))
     return (firmware_of(header) == 'betaflight' and not number(header, 'use_integrated_yaw')
-            and (version is None or int(version[1]) >= FIRST_STEEPER))
+            and version is not None and int(version[1]) >= FIRST_STEEPER)
 
 
 def changes(header: Mapping[str, str], adjustments: Iterable[Adjustment],

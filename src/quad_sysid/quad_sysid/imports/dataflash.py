@@ -94,6 +94,7 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
                 messages[kind.name] = offsets, _unpacked(data, offsets, kind)
     clock = _clock({name: rows for name, (_, rows) in messages.items()})
     log.in_ms = clock == 'TimeMS'
+    messages.pop('GPS' if log.in_ms else '', None)  # whose field holds the time of the week
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
     timed = [(messages[name][0], times) for name, times in stamps.items()]
@@ -263,7 +264,7 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
             continue
         name, _, values = line.partition(',')
         name = name.strip()
-        if name not in labels or (name not in kinds and name != 'PARM'):
+        if name not in labels or not _is_used(name, labels[name], kinds):
             continue
         cells = [cell.strip() for cell in values.split(',')]
         names = labels[name]
@@ -290,6 +291,11 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
                 log.columns[f'{name}.{label}'] = array[:, i].copy()
                 log.times[f'{name}.{label}'] = times
     return log
+
+
+def _is_used(name: str, labels: Sequence[str], kinds: Collection[str]) -> bool:
+    """Whether a message is read; a GPS before 2015 has the time of the week for its own."""
+    return name == 'PARM' or (name in kinds and not (name == 'GPS' and 'TimeMS' in labels))
 
 
 def _number(cell: str) -> float:

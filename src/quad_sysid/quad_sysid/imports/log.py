@@ -166,12 +166,13 @@ def changes_of(
     gains: Callable[[Mapping[str, Any]], Mapping[str, float]],
 ) -> tuple[GainChange, ...]:
     """The gains after each change of one of these parameters, by `gains` of all parameters."""
-    known, out = dict(table.header), []
+    known, out = dict(table.header), dict[float, GainChange]()
     for change in table.changed:
-        if change.name in names:
+        if change.name in names and np.isfinite(change.value) \
+                and known.get(change.name) != change.value:
             known[change.name] = change.value
-            out.append(GainChange(change.time_s, gains(known)))
-    return tuple(out)
+            out[change.time_s] = GainChange(change.time_s, gains(known))
+    return tuple(out.values())
 
 
 def within(message: str, *fields: str) -> tuple[str, ...]:

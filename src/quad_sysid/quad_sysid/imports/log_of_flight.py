@@ -29,7 +29,9 @@ STREAMS = (*TOPICS, 'armed')
 MIN_S = 5.0
 """A log that has less of the bag's flight is of another flight."""
 SAME = 0.02
-"""Part by which the ratio of both's gains may change: a message may come late."""
+"""Part by which the ratio of both's gains may change."""
+LATE_S = 2.0
+"""So long before the end they are compared: one may say a change later than the other."""
 
 
 def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
@@ -99,7 +101,7 @@ def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
     gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live.gains)
     if record.motors is not None or record.desaturation != 'none':
         return replace(record, gains=gains)
-    end_s = min(record.n * record.dt, live.n * live.dt - after_s)
+    end_s = min(record.n * record.dt, live.n * live.dt - after_s) - LATE_S
     scale: FloatArray = np.ones(4)
     for i, axis in enumerate(AXES, 1):
         begun, ended = (_factor(record, live, f'{axis}.rate.kp', at_s, after_s)

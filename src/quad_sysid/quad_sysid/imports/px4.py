@@ -19,7 +19,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import LAYOUTS, Craft, of_px4
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
-from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.clock import EPOCH_S, Stream
 from quad_sysid.imports.experiments import runs_of
 from quad_sysid.imports.log import (
     DEMAND_ONLY,
@@ -81,11 +81,12 @@ SIGNALS = (
     Signal('battery', within('battery_status', 'voltage_v'), 'V', 'as it is'),
 )
 GPS = ('vehicle_gps_position', 'sensor_gps')
-TOPICS = (
+FLOWN = (
     *dict.fromkeys(signal.columns[0].partition('.')[0] for signal in SIGNALS), 'actuator_motors',
     'vehicle_torque_setpoint', 'vehicle_thrust_setpoint', 'actuator_controls_0', 'actuator_armed',
-    'vehicle_status', 'esc_status', AUTOTUNE, *GPS,
+    'vehicle_status', 'esc_status', AUTOTUNE,
 )
+TOPICS = *FLOWN, *GPS
 
 
 def read(path: Path) -> ForeignLog:
@@ -95,7 +96,7 @@ def read(path: Path) -> ForeignLog:
 
 def read_bag(path: Path, messages: Path | None = None) -> ForeignLog:
     """Read a bag of px4_msgs, which are forward, right, down as PX4 itself."""
-    columns, times, notes = of_one_aircraft(path, IN_BAG, TOPICS, messages)
+    columns, times, notes = of_one_aircraft(path, IN_BAG, FLOWN, messages)
     return _read(Table(str(path), columns, times, notes=notes), 'a bag of px4_msgs', FASTER_BAG)
 
 
@@ -125,7 +126,7 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
 def _utc_s(table: Table) -> float | None:
     """Time 0 in UTC, s, by the GPS; None without a fix."""
     gps = next((s for topic in GPS if (s := table.stream(f'{topic}.time_utc_usec'))), None)
-    if gps is None or not (fixed := gps.values[:, 0] > 0.0).any():
+    if gps is None or not (fixed := 1e-6 * gps.values[:, 0] > EPOCH_S).any():
         return None
     return float(np.median(1e-6 * gps.values[fixed, 0] - gps.time_s[fixed]))
 

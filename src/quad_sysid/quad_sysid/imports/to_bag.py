@@ -42,6 +42,8 @@ MIDDLE_COMMAND = 0.5
 """U1 beside the command of a single axis: the middle of the motors' range."""
 LOST = 0.005
 """Share of lost samples from which on the logger is blamed."""
+LAST_S = 2.0**31 - 1e6
+"""ROS' seconds end in 2038; a later date is damage."""
 MIN_SAMPLES = 100
 """Least number of samples of a log."""
 SLOWEST_HZ = 50.0
@@ -85,8 +87,9 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
                     (*log.checks, *warnings))
 
 
-def gains_of(log: ForeignLog, gains: Mapping[str, float], start_s: float
-              ) -> tuple[GainChange, ...]:
+def gains_of(
+    log: ForeignLog, gains: Mapping[str, float], start_s: float
+) -> tuple[GainChange, ...]:
     """The gains of a record that begins at `start_s` of the log, with what its import added."""
     changes = [GainChange(change.time_s - start_s, {**gains, **change.values})
                for change in log.gain_changes]
@@ -141,7 +144,7 @@ def record_of(
         is_lost = np.asarray(np.isnan(control).any(axis=1))
         rates = np.where(is_lost[:, None], np.nan, rates)
     utc_s = grid.times[0] + (log.utc_s or 0.0)
-    start = utc_s if utc_s > clock.EPOCH_S else 1.0
+    start = utc_s if clock.EPOCH_S < utc_s < LAST_S else 1.0
     record = Record(source=log.source, dt=grid.dt, t0_ns=round(start * 1e9),
                     rates=rates, control=control, wrench=None if motors is not None else control,
                     motors=motors, craft=craft, speeds=_speeds(log, grid, motors),

@@ -103,7 +103,7 @@ def _cause(r: Readings) -> str:
     if 'armed' not in flags:
         return 'it is disarmed'
     volts = '' if r.battery_v is None else f' ({r.battery_v:.2f} V)'
-    return f'low battery{volts}, or beyond its limits'
+    return f'low battery{volts}, the throttle is down, or beyond its limits'
 
 
 def _switch(limits: Limits, r: Readings) -> Iterator[Abort]:
