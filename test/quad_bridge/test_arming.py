@@ -2,7 +2,7 @@
 
 import pytest
 
-from quad_bridge.arming import ARM_DISARM, Arming, SecondCall
+from quad_bridge.arming import ARM_DISARM, Arming, OperatorEnable, SecondCall
 from quad_bridge.errors import RefusedError
 from quad_bridge.wire.frames import CommandAck
 
@@ -109,3 +109,12 @@ def test_disarming_in_flight_takes_a_second_call_within_two_seconds():
     assert 'call again' in second.fault(5.1, flies=True)  # too late
     assert second.fault(5.2, flies=False) == ''  # it has landed
     assert 'call again' in second.fault(5.3, flies=True)
+
+
+def test_a_late_last_message_does_not_stand_for_the_silence_behind_it():
+    enable = OperatorEnable(required=True)
+    enable.take(0.1, 10.0)
+    assert not enable.fault(10.2)
+    enable.take(0.6, 10.5)
+    assert 'its stamp is 0.6' in enable.fault(10.8)
+    assert 'is silent' in enable.fault(11.2)

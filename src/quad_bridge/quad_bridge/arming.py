@@ -38,11 +38,11 @@ class OperatorEnable:
     def __init__(self, *, required: bool) -> None:
         self.required = required
         self.refused, self.reason = 0, ''  # messages with a stamp of another time, and the last
-        self._held_s = -math.inf
+        self._held_s = self._heard_s = -math.inf
 
     def take(self, age_s: float, now_s: float) -> None:
         """Take a message that was stamped `age_s` ago."""
-        self.reason = stale(age_s)
+        self.reason, self._heard_s = stale(age_s), now_s
         if self.reason:
             self.refused += 1
             return
@@ -59,7 +59,7 @@ class OperatorEnable:
             return ''
         if self.held(now_s):
             return ''
-        if self.reason:
+        if self.reason and now_s - self._heard_s <= HELD_S:  # else nobody says anything any more
             return f'/operator/enable: {self.reason}'
         return f'/operator/enable is silent: publish to it every {HELD_S / 2.5:g} s'
 
