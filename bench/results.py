@@ -22,7 +22,7 @@ from typing import Any
 
 import effects_judge as judge
 import numpy as np
-from effects_judge import SPOILED, extra, right
+from effects_judge import SPOILED, right
 from intervals import WITHIN
 
 ROWS = Path(__file__).parent / 'results'
@@ -56,32 +56,34 @@ def share(holds: Sequence[bool]) -> str:
 def listed(rows: Sequence[Row]) -> str:
     """The study of effects of the list and inventions beside its targets (effects.py)."""
     figures = judge.summary(rows)
-    clear = {kind: [r for r in rows if r['kind'] == kind and (r['factor'] or 0.0) >= judge.WORTH]
-             for kind in ('named', 'pair')}
-    none, odd = ([r for r in rows if r['kind'] == kind] for kind in ('nothing', 'undeclared'))
-    odd = [r for r in odd if r['lost'] >= judge.WORTH]
-    inside = [ok for each in clear.values() for r in each for ok in r['covered'].values()]
-    silent = 'no_missing_effect'
+
+    def of(name: str) -> str:
+        return counted(figures[name]['share'], figures[name]['n'])
+
+    def counted(part: float, count: int) -> str:
+        return f'{round(part * count)} of {count}'
+
     return table(['', 'target', 'result'], [
         [f'right name, where the truth lowers the error by a factor of {judge.WORTH:g} or more',
-         '98 %', share([right(r) for r in clear['named']])],
-        ['an additional name there', '1 %', share([extra(r) for r in clear['named']])],
-        ['both names of a pair on the first two rungs', '95 %',
-         share([judge.on_two_rungs(r) for r in clear['pair']])],
-        ['both in the answer, which ends at 90 %', '', share([right(r) for r in clear['pair']])],
-        ['nothing missing: an effect is named', '2 %', share([bool(r['named']) for r in none])],
-        ['nothing missing: `unexplained_residual`', '5 %',
-         share([r['verdict'] == 'unexplained_residual' for r in none])],
+         '98 %', of('named')],
+        ['an additional name there', '1 %', of('named_extra')],
+        ['both names of a pair on the first two rungs', '95 %', of('pairs_on_two_rungs')],
+        ['both in the answer, which ends at 90 %', '', of('pairs')],
+        *([f'nothing missing: {words}', target, f'{figures[name]} of {figures["nothing"]}']
+          for words, target, name in (
+              ('an effect is named', '2 %', 'nothing_effects_added'),
+              ('`unexplained_residual`', '5 %', 'nothing_unexplained'))),
         ['part of the gap to the refitted true structure that is closed, median', '0.9',
          f'{figures["gap_closed_median"]:.2f}'],
-        ['95 % intervals of the parameters that hold the truth', '90 %', share(inside)],
-        ['inventions: not silent', '95 %', share([r['verdict'] != silent for r in odd])],
+        ['95 % intervals of the parameters that hold the truth', '90 %', of('coverage_95')],
+        ['inventions: not silent', '95 %',
+         counted(figures['undeclared_not_silent'], figures['undeclared'])],
         ['inventions: gap closed, median', '0.5',
          f'{figures["undeclared_gap_closed_median"]:.2f}'],
         ['inventions: a wrong name, with a probability over 0.5', '3 %',
-         share([bool(judge.wrong_names(r)) for r in odd])],
+         counted(figures['undeclared_wrong_name'], figures['undeclared'])],
         ['error made worse by over 5 %', 'none',
-         share([r['after'] > SPOILED * r['before'] for r in rows])],
+         f'{len(figures["made_worse"])} of {figures["flights"]}'],
         ['Brier score of the probabilities, inventions included', '',
          f'{figures["brier"]:.3f}'],
     ])

@@ -269,8 +269,8 @@ def _design(options: argparse.Namespace) -> int:
     if options.separate is not None:
         text, content = _separation(options)
     else:
-        rate, size = ((given if given is not None else usual) for given, usual in (
-            (options.rate, 250.0), (options.amplitude_deg, 12.0)))
+        rate = 250.0 if options.rate is None else options.rate
+        size = 12.0 if options.amplitude_deg is None else options.amplitude_deg
         design = design_excitation(*parse_band(options.band), rate, options.seconds)
         text = '\n'.join(part for line in design.text().splitlines()
                          for part in wrapped(line, '  ', ''))

@@ -21,7 +21,7 @@ import numpy as np
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.model import AxisModel, Parameter
+from quad_sysid.model import AxisModel
 from quad_sysid.record import IOData, Record
 
 if TYPE_CHECKING:
@@ -42,11 +42,6 @@ class Identified(AxisModel):
     Arrays are in the units of the arrays that it was identified from (`units`), else a normalised
     command, rad/s and rad.
     """
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Base and effects by `name` and `effect.name`, in the units of the arrays."""
-        return {name: self.in_units(p) for name, p in self._named if self.shows(p)}
 
     def simulate(self, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,
                  throttle: npt.ArrayLike | None = None,

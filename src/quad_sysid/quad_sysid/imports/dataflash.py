@@ -88,13 +88,12 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     log = Log(skipped=skipped, bursts=bursts)
     messages = {}
     for number, kind in kinds.items():
-        if kind.name in names or kind.name == 'PARM':
+        if _is_used(kind.name, kind.dtype.names or (), names):
             offsets = starts[numbers == number]
             if len(offsets):
                 messages[kind.name] = offsets, _unpacked(data, offsets, kind)
     clock = _clock({name: rows for name, (_, rows) in messages.items()})
     log.in_ms = clock == 'TimeMS'
-    messages.pop('GPS' if log.in_ms else '', None)  # whose field holds the time of the week
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
     timed = [(messages[name][0], times) for name, times in stamps.items()]

@@ -182,14 +182,18 @@ class AxisModel:
             f'{self.axis} at {1.0 / self.dt:.6g} Hz: {self.law.name if self.law else "the base"}'
             + (parts and f' with {parts}'),
             *(f'  {name} {f"{p.value:.4g}" if p.std is None else with_error(p.value, p.std)} '
-              f'{p.unit}' for name, own in self._named if self.shows(own)
-              for p in (self.in_units(own),)),
+              f'{p.unit}' for name, p in self.parameters.items()),
         ])
 
     @property
     def law(self) -> Effect | None:
         """The law of a base of one's own; None of the built-in base."""
         return next((effect for effect in self.own_effects if effect.kind == LAW), None)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Base and effects by `name` and `effect.name`, in the units of the arrays."""
+        return {name: self.in_units(p) for name, p in self._named if self.shows(p)}
 
     @property
     def predicting(self) -> AxisModel:
