@@ -87,6 +87,12 @@ def test_each_flight_has_its_own_gyro_filter():
     assert own.after < 0.5 * evaluate(answer.model, unknown).after
     model = Identified(**vars(answer.model))
     assert 100.0 - model.compare(third) < 0.5 * (100.0 - model.compare(unknown))
+    at_s = third.segments[0].end_s  # one that is set there counts from there on
+    later = GainChange(at_s, {'sensor.gyro_filter_hz': 9.0})
+    changed = replace(third, gains=(*third.gains, later))
+    cut_offs = axis_data([changed], 'roll').gyro_filters_hz
+    assert np.flatnonzero(np.diff(cut_offs)) + 1 == pytest.approx(at_s / third.dt, abs=1)
+    assert (cut_offs[0], cut_offs[-1]) == (20.0, 9.0)
 
 
 def test_a_reference_is_of_one_unit(plain_flight):

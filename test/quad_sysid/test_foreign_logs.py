@@ -19,6 +19,7 @@ from quad_sysid.imports.cli import table
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.to_bag import import_log
+from quad_sysid.loop.cascade import CascadeGains
 
 SAMPLE = Path(__file__).resolve().parents[2] / '../shared/data/px4/sample_log_small.ulg'
 DT_US = 4000
@@ -289,28 +290,38 @@ def test_experiments_of_the_firmware_become_segments(flight, tmp_path, firmware)
 
 @pytest.mark.parametrize('firmware', ['ArduPilot', 'PX4'])
 def test_gains_that_are_set_in_flight_hold_from_then_on(flight, tmp_path, firmware):
-    """At a third of the flight; what is set before it begins is not in it."""
+    """At a third of the flight; what is set before it begins is not in it.
+
+    There the filter of D, which had another name in earlier releases, is switched off.
+    """
     if firmware == 'ArduPilot':
-        messages, name = ardupilot_messages(flight), 'ATC_RAT_RLL_P'
+        messages, name, cut_off = ardupilot_messages(flight), 'ATC_RAT_RLL_P', 'ATC_RAT_RLL_FILT'
         del messages['RCOU']
-        path = dataflash(tmp_path / 'log.bin', messages, {name: 0.1, 'ATC_RAT_PIT_P': 0.3},
-                         [(2_000_000, name, 0.2), (3_000_000 + DT_US * N // 3, name, 0.4),
+        third = 3_000_000 + DT_US * N // 3
+        path = dataflash(tmp_path / 'log.bin', messages,
+                         {name: 0.1, 'ATC_RAT_PIT_P': 0.3, cut_off: 20.0},
+                         [(2_000_000, name, 0.2), (third, name, 0.4), (third, cut_off, 0.0),
                           (2_900_000_000, 'ATC_RAT_PIT_P', 0.3)])
     else:
         pytest.importorskip('pyulog')
-        topics, name = px4_topics(flight), 'MC_ROLLRATE_P'
+        topics, name, cut_off = px4_topics(flight), 'MC_ROLLRATE_P', 'MC_DTERM_CUTOFF'
         del topics['actuator_motors']
         stamps = topics['vehicle_attitude']['timestamp']
         topics['vehicle_torque_setpoint'] = {'timestamp': stamps,
                                              'xyz': FRD * flight.control[:, 1:]}
         topics['vehicle_thrust_setpoint'] = {'timestamp': stamps,
                                              'xyz': flight.control[:, :1] * [0.0, 0.0, -1.0]}
-        path = ulog(tmp_path / 'log.ulg', topics, {name: 0.2, 'MC_PITCHRATE_P': 0.3},
-                    later=[(N // 3, name, 0.4)])
+        path = ulog(tmp_path / 'log.ulg', topics,
+                    {name: 0.2, 'MC_PITCHRATE_P': 0.3, cut_off: 20.0, 'MC_ROLLRATE_FF': 0.0},
+                    later=[(N // 3, name, 0.4), (N // 3, cut_off, 0.0)])
     record, _ = imported(path, tmp_path / 'bag')
     assert [change.time_s for change in record.gains] == [0.0, pytest.approx(2.0, abs=0.02)]
     assert [[change.values[f'{axis}.rate.kp'] for axis in ('roll', 'pitch')]
             for change in record.gains] == [pytest.approx([0.2, 0.3]), pytest.approx([0.4, 0.3])]
+    filters = [CascadeGains.from_mapping(record.gains_at(time_s), 'roll').d_filter_hz
+               for time_s in (0.0, 5.0)]
+    assert filters[0] == pytest.approx(20.0)
+    assert filters[1] > 1e5
 
 
 @pytest.mark.parametrize('hundredths', [1.0, 100.0])

@@ -14,7 +14,7 @@ import numpy as np
 
 from quad_sysid.autopilot_table import AUTOPILOT, TABLES
 from quad_sysid.axes import EVERY
-from quad_sysid.loop.cascade import FOREIGN_NAMES, TUNED, CascadeGains, contract_names
+from quad_sysid.loop.cascade import TUNED, CascadeGains, contract_names, of_other_firmware
 from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_sysid.units import in_units_of
@@ -235,7 +235,7 @@ def flown_gains(model: AxisModel) -> CascadeGains:
             'record /gains/active'
         )
     flown = {name: model.active_gains[name] for name in names}
-    check_bounds(flown, flown if _foreign(model) else None)
+    check_bounds(flown, flown if of_other_firmware(model.active_gains, model.axis) else None)
     return CascadeGains.from_mapping(model.active_gains, model.axis)
 
 
@@ -254,12 +254,6 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
             f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'
         )
     return replace(gains, output_limit=min(gains.output_limit, margin))
-
-
-def _foreign(model: AxisModel) -> bool:
-    """Whether other firmware flew, whose own bounds its gains had to keep."""
-    return any(f'{model.axis}.{name}' in model.active_gains
-               for name in (*FOREIGN_NAMES.values(), 'rate.tpa_kp'))
 
 
 def check_band(model: AxisModel, crossover_rad_s: float) -> None:

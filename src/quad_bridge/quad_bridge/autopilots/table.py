@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +63,8 @@ class Table:
     """A parameter of each axis that multiplies P, I and D."""
     d_on_error: bool = False
     """Whether D acts on the error, not on the measured rate."""
+    former: Mapping[str, str] = field(default_factory=dict)
+    """Parameters' names of earlier releases, which logs still hold → today's."""
 
     def of_axes(self) -> Iterator[tuple[str, int, Row, str]]:
         """Contract name, number of the axis, row and parameter of each gain of an axis."""
@@ -77,6 +79,11 @@ class Table:
         names = [name for *_, name in self.of_axes()]
         names += [self.multiplier.format(axis) for axis in self.axes if self.multiplier]
         return tuple(dict.fromkeys([*names, *(row.theirs for row in self.shared)]))
+
+    @property
+    def logged(self) -> tuple[str, ...]:
+        """All parameters that a log of any release may hold."""
+        return (*self.names, *self.former)
 
     @property
     def written(self) -> tuple[str, ...]:
@@ -96,6 +103,7 @@ class Table:
 
     def gains(self, known: Mapping[str, float], units: Units) -> dict[str, float]:
         """Gains by contract name, SI, from parameters; a limit or filter of 0 is left out."""
+        known = {now: known[old] for old, now in self.former.items() if old in known} | dict(known)
         gains = {}
         for ours, axis, row, theirs in self.of_axes():
             if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
@@ -167,6 +175,8 @@ PX4 = Table(
         Row('yaw.rate.output_filter_hz', 'MC_YAW_TQ_CUTOFF'),
     ),
     'MC_{}RATE_K',
+    former={'MC_DTERM_CUTOFF': 'IMU_DGYRO_CUTOFF', 'IMU_GYRO_NF_FREQ': 'IMU_GYRO_NF0_FRQ',
+            'IMU_GYRO_NF_BW': 'IMU_GYRO_NF0_BW'},
 )
 ARDUPILOT = Table(
     3,
@@ -185,6 +195,9 @@ ARDUPILOT = Table(
     ),
     (Row('sensor.gyro_filter_hz', 'INS_GYRO_FILTER'),),
     d_on_error=True,
+    # Copter 3.4 to 3.6 filtered D alone of roll and pitch, and the whole error of yaw
+    former={'ATC_RAT_RLL_FILT': 'ATC_RAT_RLL_FLTD', 'ATC_RAT_PIT_FILT': 'ATC_RAT_PIT_FLTD',
+            'ATC_RAT_YAW_FILT': 'ATC_RAT_YAW_FLTE'},
 )
 TABLES = {table.number: table for table in (PX4, ARDUPILOT)}
 

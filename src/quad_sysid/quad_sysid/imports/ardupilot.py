@@ -129,7 +129,8 @@ def read(path: Path) -> ForeignLog:
 
     return reading.log('an ArduPilot log', SIGNALS, crafts=crafts, armed=_armed(table),
                        gains=gains(table.header), faster=FASTER, warnings=tuple(warnings),
-                       gain_changes=changes_of(table, ARDUPILOT.names if units else (), gains),
+                       gain_changes=changes_of(
+                           table, ARDUPILOT.logged if units else (), gains),
                        loop_s=_loop_s(table.header), utc_s=_utc_s(table),
                        experiments=tuple(_experiments(table)))
 
@@ -224,7 +225,7 @@ def _load(path: Path) -> Table:
         columns[ours], times[ours] = values[first], log.times[name][first]
         if ours.startswith('RCOU.C'):
             columns[ours] = np.where(columns[ours] > MAX_PULSE, np.nan, columns[ours])
-    begun = {name: value for name, value in log.begun.items() if name in ARDUPILOT.names}
+    begun = {name: value for name, value in log.begun.items() if name in ARDUPILOT.logged}
     table = Table(str(path), columns, times, header={**log.parameters, **begun},
                   changed=tuple(log.changed))
     if 'RATE.R' in columns and (log.in_ms or _hundredths(columns)):

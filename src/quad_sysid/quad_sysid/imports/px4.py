@@ -117,7 +117,8 @@ def _read(table: Table, kind: str, faster: str) -> ForeignLog:
     crafts, units, warnings = _input(reading)
     gains = partial(_gains, table, units)
     return reading.log(kind, SIGNALS, crafts=crafts, armed=_armed(table),
-                       gains=gains(table.header), gain_changes=changes_of(table, PX4.names, gains),
+                       gains=gains(table.header),
+                       gain_changes=changes_of(table, PX4.logged, gains),
                        utc_s=_utc_s(table), faster=faster,
                        warnings=(*_vehicle(table), *warnings),
                        experiments=_experiments(table))

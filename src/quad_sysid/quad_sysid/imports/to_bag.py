@@ -90,8 +90,13 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
 def gains_of(
     log: ForeignLog, gains: Mapping[str, float], start_s: float
 ) -> tuple[GainChange, ...]:
-    """The gains of a record that begins at `start_s` of the log, with what its import added."""
-    changes = [GainChange(change.time_s - start_s, {**gains, **change.values})
+    """The gains of a record that begins at `start_s` of the log, with what its import added.
+
+    What a change no longer names is switched off, 0: a bag's events add to those before.
+    """
+    off = dict.fromkeys((name for values in (log.gains, *(c.values for c in log.gain_changes))
+                         for name in values), 0.0)
+    changes = [GainChange(change.time_s - start_s, {**gains, **off, **change.values})
                for change in log.gain_changes]
     begun = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
     return (*([GainChange(0.0, begun[-1])] if begun[-1] else []),

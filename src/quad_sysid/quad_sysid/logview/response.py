@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.logview.spectrum import starts_of
-from quad_sysid.loop.cascade import UNFILTERED_HZ, CascadeGains, margins, weight_of
+from quad_sysid.loop.cascade import CascadeGains, margins, weight_of
 from quad_sysid.loop.linear import ComplexArray
 from quad_sysid.pipeline.constants import COHERENT
 
@@ -187,8 +187,7 @@ def _cascade(gains: Mapping[str, float], axis: str) -> CascadeGains:
     name = f'{axis}.rate.d_filter_hz'
     linear = {key: value for key, value in gains.items() if not key.endswith('limit')}
     return CascadeGains.from_mapping(
-        {f'{axis}.rate.ki': 0.0, f'{axis}.rate.kd': 0.0, **linear,
-         name: gains.get(name) or UNFILTERED_HZ}, axis)
+        {f'{axis}.rate.ki': 0.0, f'{axis}.rate.kd': 0.0, name: 0.0, **linear}, axis)
 
 
 def first_order(cutoff_hz: float, frequency_hz: FloatArray, dt: float) -> ComplexArray:

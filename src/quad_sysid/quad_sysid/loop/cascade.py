@@ -61,11 +61,21 @@ TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
 
 UNFILTERED_HZ = 1e6
 """Cut-off of a filter of D that is none: the sensor's own filter is in the plant."""
+SWITCHED_OFF = {'d_filter_hz': UNFILTERED_HZ, 'rate_limit': 1e6, 'integrator_limit': 1e6,
+                'output_limit': 1.0}
+"""What a filter or limit of 0 does: nothing; of the command, the motors' whole range is left."""
+OTHER_FIRMWARE = (*FOREIGN_NAMES.values(), 'rate.tpa_kp')
+"""Names after `<axis>.` of which other firmware states at least one beside its gains."""
 
 
 WORDS = {field: name.format(place='angle') for field, name in CONTRACT_NAMES.items()} \
     | FOREIGN_NAMES | NOTCH
 """Field of CascadeGains → what it is called where no axis is named."""
+
+
+def of_other_firmware(values: Mapping[str, float], axis: str) -> bool:
+    """Whether gains by the contract's names are another firmware's than ours."""
+    return any(f'{axis}.{name}' in values for name in OTHER_FIRMWARE)
 
 
 def contract_names(axis: str) -> dict[str, str]:
@@ -132,13 +142,17 @@ class CascadeGains:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, float], axis: str) -> CascadeGains:
-        """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults."""
+        """Gains by the contract's names (`roll.angle.kp`, …); missing ones have their defaults.
+
+        A filter or limit that is 0, or that other firmware does not name, is switched off.
+        """
         start, notch = cls.default(axis), NOTCH if EVERY[axis].turns else {}
         names = {**contract_names(axis), **notch,
-                **{field: f'{axis}.{name}' for field, name in FOREIGN_NAMES.items()}}
-        return cls(**{field: float(values.get(name, getattr(start, field)))
-                      for field, name in names.items()},
-                   d_on_error=values.get(f'{axis}.rate.d_on') in ('error', 1.0))
+                 **{field: f'{axis}.{name}' for field, name in FOREIGN_NAMES.items()}}
+        missing = vars(start) | (SWITCHED_OFF if of_other_firmware(values, axis) else {})
+        gains = {field: float(values.get(name, missing[field])) for field, name in names.items()}
+        off = {field: value for field, value in SWITCHED_OFF.items() if not gains[field]}
+        return cls(**gains | off, d_on_error=values.get(f'{axis}.rate.d_on') in ('error', 1.0))
 
     def to_mapping(self, axis: str, *, constants: bool = False) -> dict[str, float]:
         """The contract's names and values; with `constants` filter and limits too."""

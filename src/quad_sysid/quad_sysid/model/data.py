@@ -112,7 +112,7 @@ class AxisData:
     other_angles: FloatArray | None = None
     """(n, 2) the other two axes' angles, rad; None: not measured."""
     gyro_filters_hz: FloatArray | None = None
-    """(n,) cut-off of each sample, Hz, where flights differ in it."""
+    """(n,) cut-off of each sample, Hz, where it is not one for all."""
     flights: tuple[Span, ...] = ()
     """Samples of each flight; empty: all are of one."""
     source: tuple[AxisData, NDArray[np.int64]] | None = None
@@ -328,10 +328,9 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     for role in ('train', 'validation'):
         joined[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
-    filters = [(record.gains_at(np.inf).get('sensor.gyro_filter_hz') if EVERY[axis].turns
-                else record.speed_filter_hz) or None for record in records]
-    usual = next((hz for hz in filters if hz is not None), None)
-    cut_offs = [(hz or usual, b - a) for hz, (a, b) in zip(filters, flights, strict=True)]
+    filters = [run for record in records for run in _filters(record, axis)]
+    usual = next((hz for hz, _ in filters if hz is not None), None)
+    cut_offs = [(hz or usual, count) for hz, count in filters]
     return AxisData(
         axis=axis, dt=dt, **joined,
         stretches=tuple(run for flight in flights
@@ -344,6 +343,16 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         flights=flights, craft=records[0].craft,
         rotor_lag=next((r.rotor_lag for r in records if r.rotor_lag is not None), None),
     )
+
+
+def _filters(record: Record, axis: str) -> list[tuple[float | None, int]]:
+    """Cut-off of the sensor's filter, Hz, and for how many samples; None where it is not known."""
+    if not EVERY[axis].turns:
+        return [(record.speed_filter_hz or None, record.n)]
+    starts = sorted({0, *(min(max(round(change.time_s / record.dt), 0), record.n)
+                          for change in record.gains)})
+    return [(record.gains_at((start + 0.5) * record.dt).get('sensor.gyro_filter_hz') or None,
+             end - start) for start, end in itertools.pairwise([*starts, record.n])]
 
 
 def _prepare(record: Record, axis: str) -> dict[str, Any]:
