@@ -29,7 +29,7 @@ import pytest
 from flight_controller import STILL, ZERO, Store, clone, explore
 
 from quad_bridge.errors import RefusedError
-from quad_bridge.gains import history, protocol, update
+from quad_bridge.gains import gate, history, protocol, update
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import DEFAULT_BOUNDS
@@ -398,7 +398,9 @@ def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_
     bench.until('step 2 of 2')
 
 
-def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(tmp_path):
+def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(
+    tmp_path, monkeypatch
+):
     bench = Bench(tmp_path)
     bench.flags = f.Flag.ARMED
     for value, steps in ((0.12, 1), (0.45, 2)):
@@ -418,7 +420,20 @@ def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(tm
     bench.until('confirmed')
     bench.gains.protocol.whole_sets = False  # as of PX4, where gains of both would mix
     list(bench.goes_on(1.0))
-    assert 'in 2 steps' in bench.gains.ask({'roll.rate.kp': 0.45, 'rollback': True}, bench.now_s)
+    back = {'roll.rate.kp': 0.45, 'rollback': True}
+    assert 'in 2 steps' in bench.gains.ask(back, bench.now_s)
+    bench.until('confirmed')
+    monkeypatch.setattr(gate, 'MAX_STEPS', 1)  # however many steps it would be
+    with pytest.raises(RefusedError, match='more than 1 steps'):
+        bench.gains.ask({**back, 'roll.rate.kp': 0.12}, bench.now_s)
+    bench.gains.protocol.whole_sets = True
+    # also where it has to wait for the check of an axis
+    monkeypatch.setattr(bench.gains.polarity, 'unchecked', lambda _: ['roll'])
+    monkeypatch.setattr(bench.gains, '_start_check', lambda *_: None)
+    bench.gains.ask({**back, 'roll.rate.kp': 0.12}, bench.now_s)
+    monkeypatch.setattr(bench.gains.polarity, 'unchecked', lambda _: [])
+    bench.gains._after_check(*bench.gains._pending, '')
+    bench.until('step 1 of 1')
 
 
 def test_gains_that_another_program_has_set_are_watched_anew(tmp_path):

@@ -168,13 +168,14 @@ def refuse_climb(target: Mapping[str, float], flags: int, *, flying: bool) -> No
 
 
 def steps(
-    target: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound]
-) -> list[dict[str, float]]:
+    target: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound],
+    *, at_once: bool = False,
+) -> list[dict[str, float]]:  # fmt: skip
     """The sets (contract names, SI) that lead from `active` to `target`, one after the other.
 
-    In each step each gain goes as far as it may; the last one is `target`. What has no effect as
-    yet (a state feedback without a share) is set whole. Raises RefusedError with the first fault;
-    nothing is let through in part.
+    In each step each gain goes as far as it may, `at_once` the whole way; the last one is
+    `target`. What has no effect as yet (a state feedback without a share) is set whole. Raises
+    RefusedError with the first fault; nothing is let through in part.
     """
     if not target:
         raise RefusedError('no gain in changed_parameters; send one such as roll.rate.kp')
@@ -182,6 +183,16 @@ def steps(
         _check_one(name, value, active, bounds)
     for axis in AXES:
         _check_needs(axis, target, {**active, **target})
+    path = [dict(target)] if at_once else _path(target, active, bounds)
+    for step in path:
+        for axis in {name.partition('.')[0] for name in target if '.lqr.' in name}:
+            _check_observer(axis, {**active, **step})
+    return path
+
+
+def _path(
+    target: Mapping[str, float], active: Mapping[str, float], bounds: Mapping[str, Bound]
+) -> list[dict[str, float]]:
     path, now = list[dict[str, float]](), {name: active[name] for name in target}
     now.update({name: value for name, value in target.items() if _idle(name, active)})
     while any(float32(now[name]) != float32(value) for name, value in target.items()):
@@ -189,11 +200,7 @@ def steps(
             raise RefusedError(f'more than {MAX_STEPS} steps; send intermediate values first')
         now = {name: _towards(now[name], value, bounds[name]) for name, value in target.items()}
         path.append(now)
-    path = path or [dict(target)]
-    for step in path:
-        for axis in {name.partition('.')[0] for name in target if '.lqr.' in name}:
-            _check_observer(axis, {**active, **step})
-    return path
+    return path or [dict(target)]
 
 
 def _check_needs(axis: str, target: Mapping[str, float], gains: Mapping[str, float]) -> None:

@@ -210,8 +210,6 @@ class GainUpdates:
                     reply(True, 'the check was stopped')
                 return 'stopped the check, and dropped what waited for it'
         path = self._admit(request, now_s)
-        if request.rollback and self._has_flown(request.gains):
-            path = [dict(request.gains)]  # at once: its steps would prolong what flies badly
         self.polarity.refuse_faults()
         axes = self.polarity.unchecked(request.gains) if self.protocol.pulses else []
         words = ', '.join(axes)
@@ -256,7 +254,9 @@ class GainUpdates:
 
     def _admit(self, request: gate.GainRequest, now_s: float) -> list[dict[str, float]]:
         gate.check_flown(request, self.active)
-        path = gate.steps(request.gains, self.active, self._settings.bounds)
+        # a rollback to what flew well goes at once: its steps would prolong what flies badly
+        path = gate.steps(request.gains, self.active, self._settings.bounds,
+                          at_once=request.rollback and self._has_flown(request.gains))
         if now_s - self._cycles.arrived_s > QUIET_S:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
