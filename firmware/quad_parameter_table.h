@@ -53,15 +53,15 @@ enum {
     QUAD_CLIMB_RATE_INTEGRATOR_LIMIT, /* largest command of the integral */
     QUAD_CLIMB_RATE_OUTPUT_LIMIT, /* largest command beside the trim */
     QUAD_CLIMB_HOVER, /* throttle that carries the aircraft, at take-off */
-    QUAD_CLIMB_FILTER_S, /* time in which the barometer holds the height, s */
+    QUAD_CLIMB_FILTER_S, /* time constant of the barometer's correction, s */
     QUAD_SET_UP, /* from here on: how the aircraft is built */
-    QUAD_RECEIVER_ROLL_CHANNEL = QUAD_SET_UP, /* the receiver's channel of it */
-    QUAD_RECEIVER_PITCH_CHANNEL, /* the receiver's channel of it */
-    QUAD_RECEIVER_THROTTLE_CHANNEL, /* the receiver's channel of it */
-    QUAD_RECEIVER_YAW_CHANNEL, /* the receiver's channel of it */
-    QUAD_RECEIVER_KILL_CHANNEL, /* the receiver's channel of it */
-    QUAD_RECEIVER_ARM_CHANNEL, /* the receiver's channel of it, 0: none */
-    QUAD_RECEIVER_HOLD_CHANNEL, /* the receiver's channel of it, 0: none */
+    QUAD_RECEIVER_ROLL_CHANNEL = QUAD_SET_UP, /* the receiver's channel for it */
+    QUAD_RECEIVER_PITCH_CHANNEL, /* the receiver's channel for it */
+    QUAD_RECEIVER_THROTTLE_CHANNEL, /* the receiver's channel for it */
+    QUAD_RECEIVER_YAW_CHANNEL, /* the receiver's channel for it */
+    QUAD_RECEIVER_KILL_CHANNEL, /* the receiver's channel for it */
+    QUAD_RECEIVER_ARM_CHANNEL, /* the receiver's channel for it, 0: none */
+    QUAD_RECEIVER_HOLD_CHANNEL, /* the receiver's channel for it, 0: none */
     QUAD_RECEIVER_ROLL_MIN_US, /* its pulse at minimum, us */
     QUAD_RECEIVER_ROLL_CENTRE_US, /* its pulse in the middle, us */
     QUAD_RECEIVER_ROLL_MAX_US, /* its pulse at maximum, us */
@@ -83,15 +83,15 @@ enum {
     QUAD_BOARD_ROLL, /* how the board is turned in the body, yaw first, rad */
     QUAD_BOARD_PITCH, /* how the board is turned in the body, yaw first, rad */
     QUAD_BOARD_YAW, /* how the board is turned in the body, yaw first, rad */
-    QUAD_ACCEL_OFFSET_X, /* what it shows at none, axis of the board, m/s^2 */
-    QUAD_ACCEL_OFFSET_Y, /* what it shows at none, axis of the board, m/s^2 */
-    QUAD_ACCEL_OFFSET_Z, /* what it shows at none, axis of the board, m/s^2 */
-    QUAD_ACCEL_SCALE_X, /* factor behind that */
-    QUAD_ACCEL_SCALE_Y, /* factor behind that */
-    QUAD_ACCEL_SCALE_Z, /* factor behind that */
-    QUAD_COMPASS_OFFSET_X, /* what it shows of no field, axis of the board, gauss */
-    QUAD_COMPASS_OFFSET_Y, /* what it shows of no field, axis of the board, gauss */
-    QUAD_COMPASS_OFFSET_Z, /* what it shows of no field, axis of the board, gauss */
+    QUAD_ACCEL_OFFSET_X, /* reading at zero acceleration, axis of the board, m/s^2 */
+    QUAD_ACCEL_OFFSET_Y, /* reading at zero acceleration, axis of the board, m/s^2 */
+    QUAD_ACCEL_OFFSET_Z, /* reading at zero acceleration, axis of the board, m/s^2 */
+    QUAD_ACCEL_SCALE_X, /* factor after the offset */
+    QUAD_ACCEL_SCALE_Y, /* factor after the offset */
+    QUAD_ACCEL_SCALE_Z, /* factor after the offset */
+    QUAD_COMPASS_OFFSET_X, /* reading in zero field, axis of the board, gauss */
+    QUAD_COMPASS_OFFSET_Y, /* reading in zero field, axis of the board, gauss */
+    QUAD_COMPASS_OFFSET_Z, /* reading in zero field, axis of the board, gauss */
     QUAD_BATTERY_DIVIDER, /* pack voltage over that at the pin */
     QUAD_PARAMETERS
 };

@@ -213,7 +213,7 @@ def test_what_is_withdrawn_is_named_with_its_reason(rubbed_answer, again, becaus
         verdict=replace(told.verdict, verdict='no_missing_effect', chosen=told.verdict.base))
     assert f'the training suggests coulomb_friction, which {because}' in _reason(withdrawn, '')
     tree = {'verdict': 'no_missing_effect', 'effects': [], 'explanation': [{'answer': True}]}
-    assert headline(tree) == ('none', 'Nothing that is missing is confirmed')
+    assert headline(tree) == ('none', 'No missing effect is confirmed')
     assert headline(tree | {'explanation': []}) == ('good', 'The plain model suffices')
 
 

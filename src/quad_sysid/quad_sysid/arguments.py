@@ -97,7 +97,7 @@ def quiet_and_json(parser: argparse.ArgumentParser, what: str) -> None:
 def log_options(parser: argparse.ArgumentParser) -> None:
     """Add `--log` and `--messages`, of logs that need them."""
     parser.add_argument('--log', metavar='N', type=int, default=1,
-                        help='of several logs in one blackbox file (default 1)')
+                        help='number of the log in a blackbox file of several (default 1)')
     parser.add_argument('--messages', metavar='FOLDER', type=Path,
                         help='checkout with the .msg files of a bag that holds no definitions, '
                         'such as px4_msgs')

@@ -84,7 +84,7 @@ def _identify_parser(commands: Commands) -> None:
     )
     parser.add_argument('bags', nargs='+', metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--axis', metavar='AXES', help='roll, pitch, yaw, surge, sway or climb, '
-                        'several with commas between; all (of the attitude) or every one '
+                        'several with commas between; all: roll, pitch and yaw; every: all six '
                         '(default: the axes that the bag says were excited)')
     parser.add_argument('--train', metavar='A:B', help='seconds from the first /imu/data stamp')
     parser.add_argument('--validate', metavar='A:B', help='seconds from the first stamp')
@@ -93,10 +93,10 @@ def _identify_parser(commands: Commands) -> None:
                         'where that exists)')
     parser.add_argument('--inertia', metavar='IX,IY,IZ',
                         help='kg m²; the report then gives torques in N m as well')
-    parser.add_argument('--mass', type=float, metavar='KG', help='of the aircraft: thrust, drag '
-                        'and inertia then follow')
+    parser.add_argument('--mass', type=float, metavar='KG', help='mass of the aircraft; thrust, '
+                        'drag and inertia then follow')
     parser.add_argument('--thrust', type=float, metavar='N',
-                        help='of all motors at full command, where the mass is not known')
+                        help='full thrust of all motors, where the mass is not known')
     parser.add_argument('--no-effects', action='store_true', help='fit the models only')
     effects_option(parser)
     quiet_and_json(parser, 'report.json')
@@ -120,8 +120,8 @@ def _evaluate_parser(commands: Commands) -> None:
 def _design_parser(commands: Commands) -> None:
     parser = command(
         commands, 'design-excitation', _design,
-        'Design PRBS and others for a band by eqs. (9), (10), or the flight that tells two '
-        'effects apart.', 'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
+        'Design excitation signals for a band, or the flight that tells two effects apart.',
+        'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
         writes='file',
     )
     what = parser.add_mutually_exclusive_group(required=True)

@@ -229,7 +229,8 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'compare', _run,
         'Show what changed between flights or aircraft: the difference of every parameter of '
-        'base, trim and effects, its error, and the chance that nothing changed.',
+        'base, trim and effects, its standard error, and the probability of so large a '
+        'difference if nothing had changed.',
         'quad-sysid compare monday/ friday/ --axis roll', reads='flights',
     )
     parser.add_argument('flights', nargs='+', metavar='BAG|MODEL.json',

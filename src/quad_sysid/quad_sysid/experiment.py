@@ -165,9 +165,9 @@ def _within(model: Identified, commands: FloatArray, rate: float,
     rates, angles, within = inside(least)
     within &= least > 0.0
     if not within.any():
-        raise NotInformativeError('design_experiment: every candidate leaves the limits, as '
-                                  'under a bias that nothing holds; widen them, or excite in '
-                                  'closed loop')
+        raise NotInformativeError('design_experiment: every candidate signal exceeds the limits, '
+                                  'for instance because a constant torque drives the axis away; '
+                                  'widen them, or excite in closed loop')
     return np.where(within, least, 0.0)[:, None] * commands, rates, angles
 
 

@@ -250,7 +250,7 @@ def within_thrust(gains: CascadeGains, model: AxisModel) -> CascadeGains:
     margin = min(hover - span[0], span[1] - hover)
     if margin < MIN_THROTTLE_MARGIN:
         raise DesignRefusedError(
-            f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop has '
+            f'{model.axis}: it hovers at a throttle of {hover:.2f}, and the loop may use '
             f'{span[0]:g} .. {span[1]:g}: too little is left to climb and sink by'
         )
     return replace(gains, output_limit=min(gains.output_limit, margin))

@@ -180,10 +180,10 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         count, first = len(answer['steps']), _short(answer['gains'])
         pace = f'{count} steps, 3 s apart' if count > 1 else 'one step'
         lines += wrapped(
-            'quad-tune send sends it at once if the aircraft has the gains that are flown here; '
+            'quad-tune send sends it at once if the aircraft still has the gains of the flight; '
             f'the bridge applies it in {pace}' if answer['gains'] == answer['target'] else
-            f'{count} updates lead there; send {first} first and identify again, all at once is '
-            'not safe')
+            f'{count} updates lead there, since all at once is not safe: send {first}, fly, and '
+            'identify again')
     lines += wrapped(left_out(answer['left_out']))
     return '\n'.join(lines) + '\n'
 

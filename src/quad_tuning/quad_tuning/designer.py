@@ -104,9 +104,8 @@ def _around_lean(model: AxisModel, inner: AxisModel | None) -> AxisModel:
     """The model of an outer loop, which begins from usual gains where none are known."""
     if inner is None:
         raise DesignRefusedError(
-            f'{model.axis}: its loop commands the lean, and the model of '
-            f'{EVERY[model.axis].excited_as} is not there to say how that follows; identify both '
-            'into one model.json'
+            f'{model.axis}: its loop commands the lean, so the model of '
+            f'{EVERY[model.axis].excited_as} is needed too; identify both into one model.json'
         )
     usual = CascadeGains.default(model.axis).to_mapping(model.axis)
     return replace(behind_lean(model, inner), active_gains={**usual, **model.active_gains})

@@ -232,8 +232,8 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             value, old = (round(known[name] / unit_si) if name in known else None
                           for known in (gains, before))
             if value is None or not 0 <= value <= MOST:
-                raise BadInputError(name, f'must come to 0 to {MOST} in the firmware', value,
-                                    'its scale does not hold this gain')
+                raise BadInputError(name, f'must be 0 to {MOST} in the unit of the firmware',
+                                    value, 'it cannot have this gain')
             change = '' if old is None else f', from {old} ({value - old:+d})'
             out += [f'# {name} {gains[name]:.6g} / {unit_si:.6g}{change}',
                     f'set {theirs.format(axis)} = {value}']

@@ -87,8 +87,8 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     The admission is the cascade's.
     """
     if not EVERY[model.axis].turns:
-        raise DesignRefusedError(f'{model.axis}: a state feedback holds an angle; the cascade '
-                                 'is what holds a place (--method pid)')
+        raise DesignRefusedError(f'{model.axis}: a state feedback (--method lqr) is for roll, '
+                                 'pitch and yaw; use --method pid')
     check_model(model)
     check_inside(model)
     active = flown_gains(model)

@@ -160,7 +160,7 @@ CLIMB = (
          (0.01, 0.6), (0.3,)),
     Gain('climb.hover', 'CLIMB_HOVER', '1', 'throttle that carries the aircraft, at take-off',
          (0.1, 0.8), (0.35,)),
-    Gain('climb.filter_s', 'CLIMB_FILTER_S', 's', 'time in which the barometer holds the height',
+    Gain('climb.filter_s', 'CLIMB_FILTER_S', 's', "time constant of the barometer's correction",
          (0.3, 10.0), (2.0,)),
 )  # fmt: skip
 """The height mode, where a firmware has one: C1 from height to climb, C2 from climb to U1."""
@@ -172,7 +172,7 @@ PULSE_US = (800.0, 2200.0)
 
 def _channel(name: str, wire: str, number: int, *, needed: bool) -> Gain:
     none = '' if needed else ', 0: none'
-    words = f"the receiver's channel of it{none}"
+    words = f"the receiver's channel for it{none}"
     return Gain(f'receiver.{name}_channel', f'RC_{wire}_CH', '1', words,
                 (float(needed), 9.0), (float(number),))  # fmt: skip
 
@@ -217,10 +217,10 @@ SET_UP = (
          (2000.0,)),
     *(Gain(f'board.{axis}', f'BOARD_{axis.upper()}', 'rad',
            'how the board is turned in the body, yaw first', (-3.1416, 3.1416)) for axis in AXES),
-    *_three('accel.offset', 'ACC_OFF', 'm/s²', 'what it shows at none, axis of the board',
+    *_three('accel.offset', 'ACC_OFF', 'm/s²', 'reading at zero acceleration, axis of the board',
             (-5.0, 5.0)),
-    *_three('accel.scale', 'ACC_SCALE', '1', 'factor behind that', (0.8, 1.2), 1.0),
-    *_three('compass.offset', 'MAG_OFF', 'gauss', 'what it shows of no field, axis of the board',
+    *_three('accel.scale', 'ACC_SCALE', '1', 'factor after the offset', (0.8, 1.2), 1.0),
+    *_three('compass.offset', 'MAG_OFF', 'gauss', 'reading in zero field, axis of the board',
             (-5.0, 5.0)),
     Gain('battery.divider', 'BAT_DIVIDER', '1', 'pack voltage over that at the pin', (1.0, 40.0),
          (11.0,)),

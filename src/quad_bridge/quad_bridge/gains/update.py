@@ -196,13 +196,13 @@ class GainUpdates:
         gate.check_source(request.source, self._settings.sources)
         if request.aircraft not in {'', self.aircraft}:
             raise RefusedError(
-                f'they are for the aircraft {gate.shorten(request.aircraft)}: connected is '
-                f'{self.aircraft or "none"}'
+                f'these gains are for the aircraft {gate.shorten(request.aircraft)}, and '
+                f'{self.aircraft or "none"} is connected'
             )
         if request.rollback and self.state in ON_TRIAL:
             self._take_back(f'{request.source} asked for it')
             self._going_back += [reply] if reply is not None else []
-            return 'taking back the gains in flight'
+            return 'taking back the gains on trial'
         if request.rollback and self.state is State.CHECKING:
             self.disturb('a rollback was asked for')  # which drops the gains that waited for it
             if not request.gains:
@@ -261,7 +261,7 @@ class GainUpdates:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
         if self.state is not State.IDLE:
-            raise RefusedError(f'an earlier update is in flight: {self.words}')
+            raise RefusedError(f'an earlier update is still under way: {self.words}')
         if self.protocol.busy:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._cycles.excited_s < QUIET_S:

@@ -95,8 +95,8 @@ def stick(
     if name == 'throttle':
         return values
     if not min(low, high) + MIN_MOVE_US <= middle <= max(low, high) - MIN_MOVE_US:
-        raise RefusedError(f'{name}: at rest {middle:.0f} µs, which is no middle of {low:.0f} and '
-                           f'{high:.0f}: let it go before you begin')  # fmt: skip
+        raise RefusedError(f'{name}: at rest it reads {middle:.0f} µs, too close to an end of '
+                           f'its travel ({low:.0f} to {high:.0f}): release it first')  # fmt: skip
     return {**values, f'receiver.{name}_centre_us': middle}
 
 

@@ -289,12 +289,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument('--port', default='/dev/ttyACM0',
                         help="as the bridge's parameter port; default %(default)s")
     parser.add_argument('--baud', type=int, default=921600,
-                        help='of a serial line; default %(default)s')
+                        help='baud rate of a serial line; default %(default)s')
     parser.add_argument('--key', type=Path, metavar='FILE', help='where the firmware has one')
     parser.add_argument('--folder', type=Path, default=None,
-                        help="of the aircraft's files; default as the bridge's state_folder")
+                        help="folder of the aircraft's files; default: the bridge's state_folder")
     parser.add_argument('--restore', type=Path, metavar='FILE',
-                        help='write what such a file holds, instead of measuring')
+                        help='write the values of this setup.yaml instead of measuring')
     args = parser.parse_args(argv)
     steps = ('receiver', 'motors', 'board', 'compass', 'battery', 'outputs')
     for name in args.only:

@@ -60,7 +60,7 @@ def arguments() -> argparse.ArgumentParser:
         '--mount', choices=('rig', 'hover'), help='one free axis on a bearing, or free flight'
     )
     parser.add_argument('--axis', choices=('roll', 'pitch', 'yaw'), help="the rig's free axis")
-    parser.add_argument('--seed', type=seed, default=1, help='of all noise; default 1')
+    parser.add_argument('--seed', type=seed, default=1, help='seed of all noise; default 1')
     parser.add_argument(
         '--effect-module',
         type=Path,

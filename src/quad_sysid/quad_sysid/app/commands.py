@@ -44,7 +44,7 @@ def commands(folder: Path, request: Mapping[str, Any],
         raise RefusedError('no such command')
     paths = [inside(folder, name) for name in names]
     if kind not in OF_SEVERAL and len(paths) > 1:
-        raise RefusedError('choose one alone: this is done for one after the other')
+        raise RefusedError('choose a single file: this works on one at a time')
     free = partial(_free, folder.resolve(), set(promised))
     before: dict[Path, Command] = {}
     if kind == 'identify':

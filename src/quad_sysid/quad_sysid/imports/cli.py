@@ -26,8 +26,9 @@ def add(commands: Commands) -> None:
     parser = command(
         commands, 'import', _run,
         'Turn a log of PX4, ArduPilot, Betaflight, INAV or INDIflight, or any table, into a bag '
-        'of the contract. The file shows its format. A table needs the options that name '
-        'columns: FILE alone lists them, guesses what they are and prints the command line.',
+        'with the topics of this project. The file shows its format. A table needs the options '
+        'that name columns: FILE alone lists them, guesses what they are and prints the command '
+        'line.',
         'quad-sysid import flight.ulg --out bag/, or quad-sysid import log.csv --axis all '
         '--time t --motors m1,m2,m3,m4 --mixer auto --rate gx,gy,gz --unit gx=deg/s --out bag/',
         writes='folder',

@@ -198,8 +198,8 @@ def loops(part: Part) -> Table:
                       f'{_title(part)}Rate loop over frequency, by the set-point or what was '
                       'injected as instrument: '
                       'bandwidth and peak of the tracking; margins and peak sensitivity by the '
-                      "plant so measured and the log's gains, a dash where those or the "
-                      'coherence lack.'))
+                      "plant so measured and the log's gains, a dash where the gains or the "
+                      'coherence are missing.'))
 
 
 def delays(part: Part) -> Table:
@@ -243,7 +243,7 @@ def tracking(part: Part) -> Table:
             for axis, on_axis in part.axes.items() for t in on_axis.tracking]
     return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
                  range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
-                 'much as leaves the least error; a dash where no delay tells.')
+                 'much as leaves the least error; a dash where no delay lowers it.')
 
 
 def motors(look: Measured) -> Table:

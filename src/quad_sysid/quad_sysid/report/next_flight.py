@@ -39,10 +39,10 @@ def _open(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     verdict = tree['verdict']
     if verdict == 'unexplained_residual':
         yield Next('what is left has no name yet: fly in calm air, since gusts that come and go '
-                   'leave the same, and at other amplitudes and another throttle, so that what '
-                   'it depends on moves', _prbs(axis))
+                   'leave the same residual, and at other amplitudes and another throttle, so '
+                   'that what it depends on moves', _prbs(axis))
     elif verdict == 'cannot_tell':
-        yield Next('to answer at all: fly an excitation of this axis', _prbs(axis))
+        yield Next('these data give no answer: fly an excitation of this axis', _prbs(axis))
 
 
 def _prbs(axis: str) -> str:

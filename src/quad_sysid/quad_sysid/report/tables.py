@@ -19,6 +19,8 @@ Tree = Mapping[str, Any]
 WIDTH = 78
 COLUMNS = 80
 """Most of a table's line."""
+WORD = 16
+"""A longer word, such as a path, may be broken."""
 MODELS = (('before', 'base'), ('after', 'completed'), ('blackbox', 'black box'))
 GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_kd': 's²/rad',
               'd_filter_hz': 'Hz'}
@@ -82,7 +84,8 @@ class Table:
 def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]:
     """Widths of the columns: where a line is long heads are broken, then one column of `words`.
 
-    That is the widest of those that can be broken between words.
+    That is the widest of those that can be broken between words; no word of usual length is
+    broken, even if the line is longer then.
     """
     columns = [*zip(*cells, strict=True)]
     widths = [max(map(len, column)) for column in columns]
@@ -95,7 +98,7 @@ def _widths(cells: Sequence[Sequence[str]], words: Collection[int]) -> list[int]
         longest = [max((len(word) for cell in column for word in cell.split()), default=0)
                    for column in columns]
         widest = max(words, key=lambda i: (longest[i] <= widths[i] - over, widths[i]))
-        widths[widest] = max(8, widths[widest] - over)
+        widths[widest] = max(min(longest[widest], WORD), widths[widest] - over)
     return widths
 
 
@@ -237,7 +240,7 @@ def explanation(tree: Tree) -> Table:
         above, answer = rung['effects'], i if rung.get('answer') and tree['effects'] else answer
     unit = tree['error']['unit']
     claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (
-        'What stands below the marked rung is finer, and not claimed as a cause.')
+        'The rungs after the marked one are finer details and not claimed as causes.')
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
                  'Explained: the share of what the base misses of the best predictor in the '
                  'training, in slow, medium or fast motion, where it is least. '

@@ -190,7 +190,7 @@ def headline(tree: Tree) -> tuple[str, str]:
         return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
     if tree['verdict'] == 'no_missing_effect' and any(
             rung['answer'] for rung in tree.get('explanation', ())):
-        return 'none', 'Nothing that is missing is confirmed'
+        return 'none', 'No missing effect is confirmed'
     return style, text
 
 
@@ -212,7 +212,7 @@ def _accuracy(tree: Tree) -> str:
             f'{number(after)} '
             f'{unit} RMS{_interval(error.get("after_interval_95"))}.')
     if tree['verdict'] == 'cannot_tell':  # what a model gains is no merit of the commands then
-        return f'{text} It is not shown that the commands have a part in that.'
+        return f'{text} This does not show that the commands contribute to it.'
     if hold:
         text += (f' Holding the last value would be off by {number(hold)} {unit}, so the model '
                  f'removes {100.0 * (1.0 - after / hold):.0f} % of that error.')
@@ -274,9 +274,9 @@ def causes(tree: Tree) -> str:
     least = min((reproducible.get(effect['name'], 1.0) for effect in tree['effects']), default=1.0)
     finer = any(rung['effects'] != [e['name'] for e in tree['effects']]
                 for rung in tree.get('explanation', ())[-1:])
-    text = (f'{joined(parts)} of what the base misses; found again in {100.0 * least:.0f} % of '
-            'resampled flights')
-    return text[0].upper() + text[1:] + ('; the rest is finer.' if finer else '.')
+    text = (f'{joined(parts)} of what the base misses. That is found again in '
+            f'{100.0 * least:.0f} % of resampled flights.')
+    return text[0].upper() + text[1:] + (' Finer effects explain the rest.' if finer else '')
 
 
 def _missing(tree: Tree) -> list[str]:
@@ -286,7 +286,7 @@ def _missing(tree: Tree) -> list[str]:
     out = []
     for effect in tree['effects']:
         text = f'{named(effect).capitalize()} ({effect["name"]}): {values(effect)}.'
-        text += (f' Against the claim that nothing is missing, the held-out data give p '
+        text += (f' If it predicted nothing, the held-out data would look like this with p '
                  f'{equals(effect["p_value"])}')
         rivals = effect.get('rivals') or []
         if rivals:
