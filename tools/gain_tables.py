@@ -105,9 +105,9 @@ def page() -> str:
         'Names are those on `/gains/update` and `/gains/active`; a gain of an axis begins with',
         'its name (`roll.rate.kp`, on the wire `ROLL_RATE_KP`). *Limits* are what the firmware',
         'takes. *Bound* is what the [gate](../tune.md) of the bridge lets through unless its',
-        'parameter `bounds.<gain>` says otherwise: `[lower, upper, largest factor of one step, change that',
-        'is always allowed]`; a gain without one can be changed only where the configuration',
-        'bounds it.',
+        'parameter `bounds.<gain>` says otherwise: `[lower, upper, largest factor of one step,',
+        'change that is always allowed]`; a gain without one can be changed only where the',
+        'configuration bounds it.',
     ]
     for title, rows in (
         ('Each axis: the cascade', PER_AXIS),

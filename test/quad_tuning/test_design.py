@@ -249,6 +249,8 @@ def test_a_gain_that_flies_on_other_firmware_is_a_start_though_beyond_our_bounds
     low, high = bounds.reachable('rate_ki', gains.rate_ki, 'roll')
     assert gains.rate_ki == pytest.approx(high) == pytest.approx(1.12)
     assert low < 1.0
+    weak = with_gains(model('yaw'), yaw__rate__kp=0.6)  # more than roll may have
+    assert bounds.flown_gains(weak).rate_kp == 0.6
 
 
 def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
@@ -259,6 +261,20 @@ def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
     assert most == {'roll.angle.kp': 12.0, 'roll.rate.kp': 0.2, 'roll.rate.ki': 0.4}
     assert ARDUPILOT.parameters(most, {}, units)['ATC_ANG_RLL_P'] == 12.0
     assert bounds.bounds_of('roll', {}) is bounds.BOUNDS
+
+
+@pytest.mark.usefixtures('quick')
+@pytest.mark.parametrize(
+    ('flown', 'stays'),
+    [({AUTOPILOT: 12.0}, True), ({AUTOPILOT: 3.0}, False), ({'yaw.rate.tpa_kp': 1.0}, True),
+     ({}, False)],
+)
+def test_a_filter_that_all_axes_share_stays_as_it_flew(model, flown, stays):
+    """A weak yaw's design takes it to its lower bound, which would cost the others' margins."""
+    m = model('yaw', gain=13.3, stds={'gain': 0.13})
+    own = {'yaw.rate.kp': 0.2, 'yaw.rate.ki': 0.1, 'yaw.rate.d_filter_hz': 30.0}
+    m = dataclasses.replace(m, active_gains={**m.active_gains, **own, **flown})
+    assert (design(m).steps[-1]['yaw.rate.d_filter_hz'] == 30.0) == stays
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):

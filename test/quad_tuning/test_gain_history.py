@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -72,6 +73,9 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
     assert (chosen.number, difference) == (1, {KP: 0.07, ANGLE: 3.0})
     assert way_back(sets, 4)[1] == {KP: 0.2}
     assert way_back(sets[:4])[1] == {KP: 0.1}
+    set_up = replace(sets[-1], number=6, gains={**sets[-1].gains, 'accel.offset_x': 0.1})
+    earlier = [replace(one, gains={**one.gains, 'accel.offset_x': 0.0}) for one in sets]
+    assert way_back([*earlier, set_up]) == (earlier[0], {KP: 0.07, ANGLE: 3.0})
     with pytest.raises(BadInputError, match=r'must be 1\.\.5'):
         way_back(sets, 9)
     with pytest.raises(BadInputError, match='no earlier good set'):

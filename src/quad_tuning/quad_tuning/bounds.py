@@ -19,7 +19,7 @@ from quad_sysid.loop.from_model import not_in_the_loop, share_outside
 from quad_sysid.model import AxisModel
 from quad_sysid.units import in_units_of
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.gain_table import AXES, CLIMB, OPTIONAL, PER_AXIS, Bound, Gain
+from quad_tuning.gain_table import AXES, CLIMB, DEFAULT_BOUNDS, OPTIONAL, PER_AXIS, Bound, Gain
 
 DESIGNED = (*TUNED, 'd_filter_hz')
 """Fields of CascadeGains that a designer changes; the D filter only if the flight recorded it."""
@@ -43,7 +43,8 @@ ROWS = {f'{axis}.{row.name}': row for axis in AXES for row in (*PER_AXIS, *OPTIO
     row.name: row for row in CLIMB} | {
     f'{axis}.{row.name}': row for axis, own in EVERY.items() if own.outer for row in OUTER}
 """Contract name of an axis' gain → its row in the bridge's table."""
-BOUNDS: dict[str, Bound] = {name: row.bound for name, row in ROWS.items() if row.bound}
+BOUNDS: dict[str, Bound] = {name: DEFAULT_BOUNDS.get(name, row.bound)
+                            for name, row in ROWS.items() if row.bound}
 for _axis in AXES:  # more amplifies the gyro's noise
     BOUNDS[f'{_axis}.rate.kd'] = replace(BOUNDS[f'{_axis}.rate.kd'], upper=0.02)
 
@@ -63,6 +64,18 @@ def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
         bound = BOUNDS[ours]
         limits[ours] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
     return limits
+
+
+def shared_by_axes(model: AxisModel) -> set[str]:
+    """Contract names of the axis' gains that the flown firmware has once, for all axes.
+
+    A design of one axis leaves them as they are, because it does not know the others' margins.
+    """
+    active, name = model.active_gains, contract_names(model.axis)['d_filter_hz']
+    table = TABLES.get(int(active.get(AUTOPILOT, 0.0)))
+    if table is None:  # of Betaflight and INAV: a blackbox log's gains
+        return {name} if f'{model.axis}.rate.tpa_kp' in active else set()
+    return {name} & table.in_common
 
 
 def check_finite(gains: Mapping[str, float]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from quad_sysid.axes import EVERY
 from quad_sysid.errors import QuadSysidError
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, contract_names
 from quad_sysid.loop.from_model import behind_lean, in_flight, loop_plant, not_in_the_loop
 from quad_sysid.model import BEFORE, AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
@@ -28,6 +28,7 @@ from quad_tuning.bounds import (
     check_inside,
     check_model,
     flown_gains,
+    shared_by_axes,
     within_thrust,
 )
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
@@ -81,7 +82,8 @@ def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
         needs = replace(
             needs, highest_crossover_rad_s=max(highest, before.crossover_rad_s))
     known = by_contract(active, model.axis, model.active_gains)
-    fixed = DESIGNED[len(known) :]  # the filter of D, where the flight did not tell it
+    names, free = contract_names(model.axis), known.keys() - shared_by_axes(model)
+    fixed = [field for field in DESIGNED if names[field] not in free]
     try:
         designed = retune(plant, active, loops, needs, fixed=fixed,
                        bounds=bounds_of(model.axis, model.active_gains))

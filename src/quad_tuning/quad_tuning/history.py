@@ -20,6 +20,7 @@ from quad_sysid.arguments import NOT_ANSWERED, command
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table
 from quad_tuning.exports import finite, read_axes, read_gains
+from quad_tuning.gain_table import DEFAULT_BOUNDS
 
 SCHEMA = 'quad_tuning/history/1'
 SOURCE, SENDER = 'quad-tune rollback', 'quad-tune send'
@@ -111,7 +112,8 @@ def way_back(sets: Sequence[GainSet], number: int | None = None,
              where: str = 'history') -> tuple[GainSet, dict[str, float]]:
     """The set `number`, or the last good set that differs, and the gains that must change.
 
-    A set that was only confirmed on the ground is none of those.
+    Those are the ones that a bridge lets an update change; a set-up (channels, offsets, limits)
+    that was changed since stays. A set that was only confirmed on the ground is none of those.
 
     Raises BadInputError, naming the file `where`, where there is no such set.
     """
@@ -123,13 +125,17 @@ def way_back(sets: Sequence[GainSet], number: int | None = None,
         if not 1 <= number <= len(sets):
             raise BadInputError('--to', f'must be 1..{len(sets)}', number, 'see quad-tune history')
         chosen = sets[number - 1]
-        return chosen, changed(now, chosen.gains)
+        return chosen, _of_updates(changed(now, chosen.gains))
     for one in reversed(sets[:-1]):
-        difference = changed(now, one.gains)
+        difference = _of_updates(changed(now, one.gains))
         if one.outcome in GOOD and difference:
             return one, difference
     raise BadInputError(where, 'holds no earlier good set that differs from the present one',
                         None, 'quad-tune history shows all; --to N takes any of them')
+
+
+def _of_updates(gains: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in gains.items() if name in DEFAULT_BOUNDS}
 
 
 def _entry(line: str) -> dict[str, Any] | None:
@@ -230,8 +236,11 @@ def show(arguments: argparse.Namespace) -> int:
 def go_back(arguments: argparse.Namespace) -> int:
     """`quad-tune rollback`. Raises QuadSysidError for bad input."""
     path = _file(arguments)
-    chosen, gains = way_back(read_history(path), arguments.to, str(path))
-    text = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}'
+    sets = read_history(path)
+    chosen, gains = way_back(sets, arguments.to, str(path))
+    stays = sorted(changed(sets[-1].gains, chosen.gains).keys() - gains.keys())
+    text = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}' + (
+        f'; no update changes {", ".join(stays)}, which stay as they are' if stays else '')
     if arguments.print or not gains:
         print(text)
         return 0
