@@ -48,6 +48,10 @@ def test_what_flies_is_what_identification_fits(name):
     settings = effect.prepare(plain)
     assert not isinstance(settings, str), settings
     acting = ActingEffect(Part(effect, settings), values)
+    (strongest,) = judged(aircraft, plain).sized(acting.part, 1e9).p[:1]
+    spec = effect.parameters[0]
+    if spec.spread and not spec.log:  # no stronger than its prior lets it be
+        assert abs(strongest - spec.centre) < 2.01 * spec.spread
     found = judged(aircraft, fly(aircraft, [acting], [flight])[0].data)
     assert found.fitted([acting.part]) > 8.0
     problem: Problem = found.problem
@@ -98,6 +102,10 @@ def test_every_row_is_a_schedule_that_the_node_can_fly(springs):
         assert train[-1].signal == row.excitation.part.signal
         assert train[-1].amplitude == pytest.approx(row.excitation.part.amplitude, rel=1e-4)
         assert 'validation' in [part.role for part in schedule.parts]
+        assert schedule.mount == 'rig'
+    moved = replace(springs.best.excitation, others_move=True)  # by sticks, which a rig forbids
+    rows = (replace(springs.best, excitation=moved), *springs.rows)
+    assert schedule_of(replace(springs, rows=rows)).mount == 'hover'
 
 
 def model_with_rival(probability: float) -> AxisModel:

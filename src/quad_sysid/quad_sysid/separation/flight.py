@@ -34,6 +34,8 @@ PAPER_NOISE = NoiseEstimate({'white': 1.5, 'disturbance': 0.5, 'correlation': 0.
 """MPU-6050 with its 42 Hz filter; torque noise of 0.015 (rad/s²)/√Hz, hardly any wind."""
 VOLTS = 12.1
 """3 cells, charged, under load."""
+THROTTLE = 0.35
+"""Of hover, where no flight says it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Aircraft:
     gyro_filter_hz: float | None = 42.0
     noise: NoiseEstimate = field(default=PAPER_NOISE)
     battery_v: float = VOLTS
-    throttle: float = 0.35
+    throttle: float = THROTTLE
     craft: Craft = X
     source: str = "the paper's plant"
     """Origin of the values, in words for the user."""
@@ -82,7 +84,8 @@ def aircraft_of(model: AxisModel, less: str, source: str) -> Aircraft:
         gains=CascadeGains.from_mapping(model.active_gains, model.axis) if has_gains
         else CascadeGains.default(model.axis),
         dt=model.dt, gyro_filter_hz=model.gyro_filter_hz, noise=model.noise or PAPER_NOISE,
-        battery_v=model.mean_battery_v or VOLTS, craft=model.craft, source=source,
+        battery_v=model.mean_battery_v or VOLTS, throttle=model.mean_throttle or THROTTLE,
+        craft=model.craft, source=source,
     )
 
 

@@ -25,6 +25,8 @@ from quad_sysid.separation.flight import Aircraft
 
 GAIN_KNOWN = 0.1
 """Relative standard error of the gain below which a flight identifies the base."""
+LIKELY = 2.0
+"""Most standard deviations of its prior that an effect is assumed to be strong."""
 REACH = 4.0
 """Range of the search for a strength: prior standard deviations, or powers of e."""
 
@@ -124,7 +126,7 @@ class JudgedFlight:
         return 0.5 * float(c @ c - np.sum((q.T @ c) ** 2))
 
     def sized(self, part: Part, target_nats: float) -> ActingEffect:
-        """The effect at about the strength that gives `wanted` nats on this flight.
+        """The effect at about the strength that gives `target_nats` on this flight, if it can be.
 
         Parameters that are zero without the effect are scaled (several in a direction drawn from
         their prior); otherwise the first parameter is searched over its prior.
@@ -138,7 +140,8 @@ class JudgedFlight:
         if free:
             precision = part.effect.precision(part.settings, self.problem.sizes_of(part))
             root = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(free, free)]))
-            direction = root @ np.random.default_rng(0).standard_normal(len(free))
+            drawn = np.random.default_rng(0).standard_normal(len(free))
+            direction = root @ (drawn / np.sqrt(np.mean(drawn**2)))
             if len(free) == 1:
                 direction = np.abs(direction)
             scale = 0.1
@@ -146,6 +149,7 @@ class JudgedFlight:
                 p[free] = scale * direction
                 nats = self.trace(ActingEffect(part, p))
                 scale *= float(np.clip(math.sqrt(target_nats / max(nats, 1e-12)), 0.05, 20.0))
+                scale = min(scale, LIKELY)
             p[free] = scale * direction
             return ActingEffect(part, p)
         spread = specs[0].spread or 1.0

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 
 from quad_sysid.separation.design import CERTAIN, Row, Separation
 from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitation
+from quad_sysid.signals.design import mount_line
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
 SHOWN = 8
@@ -155,7 +156,8 @@ def schedule(result: Separation) -> str:
     rows = [*(row for entry in (*trains, *checks) for row in (IDLE, entry)), IDLE]
     head = [f'Tells {result.first.name} and {result.second.name} on {part.axis} apart:',
             *textwrap.wrap(why(result), WIDTH - 2)]
-    lines = [*(f'# {line}' for line in head), 'schedule:', '  mount: rig', '  segments:']
+    mount = 'hover' if best.others_move else 'rig'  # where the pilot's sticks may move
+    lines = [*(f'# {line}' for line in head), 'schedule:', mount_line(mount), '  segments:']
     return '\n'.join([*lines, *(f'    - {row}' for row in rows)]) + '\n'
 
 

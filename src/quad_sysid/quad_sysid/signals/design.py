@@ -95,9 +95,16 @@ class Design:
         ]
         band = f'{self.low_rad_s:g} to {self.high_rad_s:g} rad/s'
         head = f'# Designed for {band} by eqs. (9), (10).\n'
-        return head + 'schedule:\n  mount: rig\n  segments:\n' + ''.join(
+        return head + f'schedule:\n{mount_line("rig")}\n  segments:\n' + ''.join(
             f'    - {row}\n' for row in rows
         )
+
+
+def mount_line(mount: str) -> str:
+    """The line of a schedule that says where it is flown, with what follows from that."""
+    what = {'rig': 'a stick beyond 10 % ends it; in free flight write hover',
+            'hover': 'a stick beyond 60 % ends it; on a rig write rig'}[mount]
+    return f'  mount: {mount}  # {what}'
 
 
 def parse_band(text: str) -> tuple[float, float]:
