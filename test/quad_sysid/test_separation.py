@@ -136,6 +136,8 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     (near,) = rivalry(model_with_rival(0.3))
     assert '--separate coulomb_friction quadratic_drag --axis roll' in near
     assert list(rivalry(model_with_rival(0.05))) == []
+    (near,) = rivalry(replace(model_with_rival(0.3), axis='surge'))
+    assert 'design-excitation' not in near  # which flies none of it
     with pytest.raises(NotInformativeError, match='no effect of this model has a rival'):
         rivals_of(model_with_rival(0.0))
     lonely = model_with_rival(0.0)

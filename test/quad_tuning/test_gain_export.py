@@ -71,6 +71,8 @@ def test_ardupilot_through_a_file(file, tmp_path, refused):
     assert values['ATC_RAT_RLL_FLTD'] == 69.0
     assert values['ATC_ANG_YAW_P'] == 2.0
     assert 'differentiates the error' in out.read_text()
+    outside = [line for line in out.read_text().splitlines() if 'Out of range' in line]
+    assert [line.partition(';')[0] for line in outside] == ['# Out of range: ATC_ANG_YAW_P = 2']
     assert 'Warning' not in out.read_text()  # each axis has its own D filter here
     assert 'exists already' in refused(
         main, 'export', file, '--to', 'ardupilot', '--out', out, *ONES)

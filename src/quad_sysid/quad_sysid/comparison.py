@@ -296,7 +296,8 @@ def lines(comparison: Comparison) -> Iterator[str]:
         if changed:
             yield f'  changed: {", ".join(changed)}'
         elif any(c.p_value is not None for c in changes):
-            yield f'  nothing changed, at a level of {LEVEL:.0%} for all comparisons together'
+            yield (f'  nothing {"that both have " if alone else ""}changed, at a level of '
+                   f'{LEVEL:.0%} for all comparisons together')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
         yield ''

@@ -138,7 +138,8 @@ def run(arguments: argparse.Namespace) -> int:
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
         + ''.join(f'# Left out, it has no counterpart here: {note}\n' for note in rest)
-        + ''.join(f'# {line}\n' for line in _shared_filter(firmware, gains))
+        + ''.join(f'# {line}\n' for line in (*_shared_filter(firmware, gains),
+                                              *_out_of_range(firmware, values)))
         + ''.join(f'# Step {k} of {len(way) + 1}, set and fly it before the next: {step}\n'
                   for k, step in enumerate(way, 1))
         + firmware.head
@@ -163,6 +164,15 @@ def _shared_filter(firmware: Firmware, gains: Mapping[str, float]) -> Iterator[s
         if hz > (1.0 + DIFFERS) * lowest:
             yield (f'Warning: {axis} was designed with D filtered at {hz:.3g} Hz. Here all axes '
                    f'share {lowest:.3g} Hz, with which it has not the margins of the design.')
+
+
+def _out_of_range(firmware: Firmware,
+                  values: Mapping[str, tuple[float, str]]) -> Iterator[str]:
+    """A line for each parameter that the autopilot's own list does not allow."""
+    for name, (low, high) in {} if firmware.table is None else firmware.table.ranges.items():
+        if name in values and not low <= (value := float(f'{values[name][0]:.6g}')) <= high:
+            yield (f"Out of range: {name} = {value:g}; the autopilot's own is {low:g} to "
+                   f'{high:g}, and the bridge would refuse it.')
 
 
 def _output(content: str, out: Path | None, done: str) -> None:

@@ -91,6 +91,12 @@ class Table:
         return tuple(dict.fromkeys(n for _, _, row, n in self.of_axes() if row.limits))
 
     @property
+    def ranges(self) -> dict[str, Limits]:
+        """What each parameter may be, in the autopilot's own list."""
+        return {theirs: span for _, i, row, theirs in self.of_axes()
+                if (span := (row.yaw_limits if i == 2 else None) or row.limits)}
+
+    @property
     def in_common(self) -> frozenset[str]:
         """Contract names whose parameter is one for all axes."""
         return frozenset(n for n, _, row, _ in self.of_axes() if '{' not in row.theirs)

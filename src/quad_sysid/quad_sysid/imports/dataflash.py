@@ -106,8 +106,7 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
             index = np.searchsorted(places[order], offsets) - 1
             times = timed_s[np.maximum(index, 0)] if timed_s.size else np.zeros(len(offsets))
         if name == 'PARM':
-            for parameter, value, time_s in zip(rows['Name'], rows['Value'], times, strict=True):
-                log.set(_text(parameter), float(value), float(time_s))
+            _set(log, rows, times)
             continue
         kind = next(k for k in kinds.values() if k.name == name)
         for label, factor in zip(rows.dtype.names or (), kind.factors, strict=True):
@@ -115,6 +114,13 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
                 log.columns[f'{name}.{label}'] = factor * rows[label].astype(float)
                 log.times[f'{name}.{label}'] = times
     return log
+
+
+def _set(log: Log, rows: NDArray[np.void], times: NDArray[np.float64]) -> None:
+    """Take parameters, unless a damaged description of their messages lacks a field."""
+    if {'Name', 'Value'} <= {*(rows.dtype.names or ())}:
+        for parameter, value, time_s in zip(rows['Name'], rows['Value'], times, strict=True):
+            log.set(_text(parameter), float(value), float(time_s))
 
 
 def _clock(messages: Mapping[str, NDArray[np.void]]) -> str:

@@ -7,6 +7,7 @@ Errors name the line.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import re
@@ -308,13 +309,13 @@ def _number(cell: str) -> float:
 
 @lru_cache(maxsize=64)
 def _day(text: str) -> float:
-    """Seconds from 1970 to the begin of a day."""
+    """Seconds from 1970 to the begin of a day; NaN of none that there is."""
     parts = [int(part) for part in re.split(r'[-/.]', text)]
-    year, month, day = parts if parts[0] > 31 else parts[::-1]
-    try:
-        return 86_400.0 * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
-    except ValueError:  # month before day
-        return 86_400.0 * (date(year, day, month).toordinal() - date(1970, 1, 1).toordinal())
+    year, first, second = parts if parts[0] > 31 else parts[::-1]
+    for month, day in ((first, second), (second, first)):
+        with contextlib.suppress(ValueError):
+            return 86_400.0 * (date(year, month, day).toordinal() - date(1970, 1, 1).toordinal())
+    return math.nan
 
 
 def _refuse_text(

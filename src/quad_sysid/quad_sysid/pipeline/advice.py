@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.signal.windows import tukey
 
+from quad_sysid.axes import EVERY
 from quad_sysid.blackbox import excitation_order
 from quad_sysid.model import AxisModel
 from quad_sysid.model.data import high
@@ -54,10 +55,11 @@ def rivalry(model: AxisModel | None) -> Iterator[str]:
     for effect in () if model is None else model.effects:
         name, near = max(effect.listed_rivals, key=lambda pair: pair[1], default=('', 0.0))
         if near > RIVAL and model is not None:
+            advice = ('; design one that does: quad-sysid design-excitation --separate '
+                      f'{effect.name} {name} --axis {model.axis} --model model.json '
+                      '--out schedule.yaml') if EVERY[model.axis].turns else ''
             yield (f'{effect.name} (probability {effect.probability:.2g}) or {name} ({near:.2g}): '
-                   'this flight hardly separates them; design one that does: quad-sysid '
-                   f'design-excitation --separate {effect.name} {name} --axis {model.axis} '
-                   '--model model.json --out schedule.yaml')
+                   f'this flight hardly separates them{advice}')
 
 
 def _excitation(train: IOData, rows: Sequence[ModelRow]) -> Iterator[str]:
