@@ -8,8 +8,9 @@ from flown_axis import DT, GAINS, SHORT, UNSEEN, Axis, fly
 
 from quad_sysid import comparison
 from quad_sysid.discover.accept import Unseen
-from quad_sysid.estimate.fit import stays_bounded
-from quad_sysid.estimate.stored import completed, estimate_of
+from quad_sysid.discover.base import best_base
+from quad_sysid.estimate.fit import Problem, stays_bounded
+from quad_sysid.estimate.stored import completed, estimate_of, readings
 from quad_sysid.identified import Identified
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline.evaluate import evaluate, simulate
@@ -128,3 +129,34 @@ def test_what_runs_away_is_no_explanation_and_a_flight_says_where_it_leaves_the_
     assert (rate.signal, rate.low, rate.high) == ('rate', -0.2, 0.2)
     assert 1.0 < rate.seconds < 28.0
     assert rate.most == plain_flight.rates[250:, 0].max()
+
+
+def with_gaps(flight: Record, gap_s: float, every_s: float, seed: int) -> Record:
+    """The flight without its rates in gaps that come at random, as from a log of a slow card."""
+    rates, length = flight.rates.copy(), round(gap_s / flight.dt)
+    apart = np.random.default_rng(seed).exponential(every_s / flight.dt, 400) + length
+    for start in np.cumsum(apart).astype(int):
+        rates[start : start + length] = np.nan
+    return replace(flight, rates=rates)
+
+
+def test_a_log_with_gaps_keeps_its_windows_and_blocks_and_its_errors_are_as_large_as_said():
+    """Short gaps shut no window out; behind a gap the filter knows less than its variance says."""
+    axis = Axis(torque_noise=0.3)
+    truth = [axis.gain, axis.lag_s, 1e-3 * axis.delay_ms, axis.damping, axis.bias]
+    off = []
+    for seed in range(8):
+        whole = fly(axis, seed, SHORT)
+        full, data = (axis_data([one], 'roll') for one in (
+            whole, with_gaps(whole, 0.08, 0.5, 1000 + seed)))
+        assert data.windows(data.train).count >= 0.5 * full.windows(full.train).count
+        problem = Problem(data, data.train)
+        base = readings(problem, best_base(problem)).base
+        off += [(one.value - true) / one.std for one, true in zip(base, truth, strict=True)
+                if one.std]
+    assert np.sqrt(np.mean(np.square(off))) < 1.4  # 40 of them; 2.0 where all samples count
+    rates = whole.rates.copy()
+    rates[::10] = np.nan  # lost throughout: blocks are of time, not of unbroken samples
+    counts = [Problem(one, one.train).blocks(2.0).max() for one in (
+        axis_data([whole], 'roll'), axis_data([replace(whole, rates=rates)], 'roll'))]
+    assert counts[1] == pytest.approx(counts[0], abs=1)

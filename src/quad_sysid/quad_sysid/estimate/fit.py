@@ -30,6 +30,8 @@ from quad_sysid.model.structure import BASE, Structure
 from quad_sysid.qr import upper
 from quad_sysid.record import INDEPENDENT_S, finite_runs
 
+UNHARMFUL_S, BEHIND_GAP_S = 0.02, 0.1
+"""A gap longer than the first makes the innovations larger, for the second's time behind it."""
 SETTLE_S = 0.5
 """Innovations count from this long after the start of an unbroken stretch."""
 DEGREES = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 1e4)
@@ -111,6 +113,19 @@ def tail_of(e: FloatArray, least: float) -> Tail:
     return best
 
 
+def _behind_gaps(data: AxisData) -> NDArray[np.bool_]:
+    """(n,) samples whose innovations are larger than the steady filter's variance says.
+
+    After lost samples the filter has to find the state again; with the usual weight what follows
+    would make the standard errors too small.
+    """
+    out = np.zeros(data.rate.size, bool)
+    for start, stop in () if data.lost is None else finite_runs(data.lost, (0, out.size)):
+        if (stop - start) * data.dt > UNHARMFUL_S:
+            out[stop : stop + round(BEHIND_GAP_S / data.dt)] = True
+    return out
+
+
 class Problem:
     """The data of a fit: spans of an axis' flight, each with its lead; the rest is left out.
 
@@ -145,8 +160,10 @@ class Problem:
             counts[start:stop] = True
         for start, _ in self.flight.passes:
             counts[start : start + settle] = False
-        self.rows = np.flatnonzero(
-            counts & np.isfinite(self.flight.measured) & ~self.flight.caught)
+        counts &= np.isfinite(self.flight.measured) & ~self.flight.caught
+        intact = counts & ~_behind_gaps(self.data)
+        # of a log with gaps throughout all samples count
+        self.rows = np.flatnonzero(intact if 2 * intact.sum() >= counts.sum() else counts)
         self.acceleration = typical_acceleration(self.data, self.spans)
         rates = self.flight.rate[self.rows]
         self.finest = FINEST * float(np.std(rates)) if rates.size else 0.0
@@ -166,11 +183,11 @@ class Problem:
                        held=self.held_terms)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
-        """(rows,) number of the block of each row: unbroken, of this length at most."""
-        length = max(2, round(length_s / self.data.dt))
-        stretch = np.cumsum(np.r_[0, np.diff(self.rows) > 1])
-        label = stretch * 10**6 + np.arange(self.rows.size) // length
-        return np.unique(label, return_inverse=True)[1]
+        """(rows,) number of the block of each row: of one pass, of this length in time."""
+        length, rows = max(2, round(length_s / self.data.dt)), self.rows
+        number = np.searchsorted([a for a, _ in self.flight.passes], rows, side='right')
+        first = rows[np.searchsorted(number, number)]
+        return np.unique(number * 10**9 + (rows - first) // length, return_inverse=True)[1]
 
     def measure(self, fitted: Fit) -> None:
         """Take the sizes of all later priors and of the innovations from this fit."""

@@ -147,8 +147,9 @@ class AxisData:
     def windows(self, spans: Sequence[Span], length_s: float = WINDOW_S) -> Windows:
         """Windows in `spans`, by default of the contract's length, end to end, no partial ones.
 
-        They keep off every gap, unless that leaves less than half of those of the contract's
-        length: in a log that loses samples throughout, short gaps are none.
+        They keep off every gap, and begin anew behind one that ends a span, unless that leaves
+        less than half of those of the contract's length: in a log that loses samples throughout,
+        short gaps are none.
         """
         settle, caught_up = (round(seconds / self.dt) for seconds in (SETTLE_S, CAUGHT_UP_S))
 
@@ -156,9 +157,12 @@ class AxisData:
             return [k for a, b in runs for k in range(a, b - length + 1, length)]
 
         length, usual = (max(2, round(seconds / self.dt)) for seconds in (length_s, WINDOW_S))
-        runs = [(a + settle, b) for a, b in spans]
-        if self.lost is not None and self.lost.any():
-            intact = [(max(a + caught_up, start + settle), b) for start, stop in spans
+        whole = [run for start, stop in self.stretches or ((0, self.rate.size),)
+                 for run in bridged([(max(a, start), min(b, stop)) for a, b in sorted(spans)
+                                     if a < stop and b > start], self.dt)]
+        runs = [(a + settle, b) for a, b in whole]
+        for parts in (whole, spans) if self.lost is not None and self.lost.any() else ():
+            intact = [(max(a + caught_up, start + settle), b) for start, stop in parts
                       for a, b in finite_runs(~self.lost, (start, stop))]
             if 2 * len(inside(intact, usual)) >= len(inside(runs, usual)):
                 runs = intact

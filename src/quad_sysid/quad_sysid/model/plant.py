@@ -286,7 +286,8 @@ def alike(x: Any, by: Callable[[Any], Any]) -> Any:
 
 def flat(x: State | Turning) -> FloatArray:
     """(states, w) all numbers of a state, one below the other."""
-    return np.concatenate([array.reshape(-1, array.shape[-1]) for array in leaves(x)])
+    return np.concatenate([array.reshape(math.prod(array.shape[:-1]), array.shape[-1])
+                           for array in leaves(x)])
 
 
 def unflat(numbers: FloatArray, like: Moving) -> Moving:

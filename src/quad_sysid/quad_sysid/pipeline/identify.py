@@ -257,7 +257,7 @@ def _reason(findings: Findings, not_searched: str) -> str:
         noise = noise_of(verdict.base)
         reason += (
             f"; the base's error is {verdict.before / verdict.noise_floor:.0f} times the noise of "
-            f'the rate and is taken for gusts of {noise.disturbance_rms:.2g} rad/s² that last '
+            f'the rate and is taken for gusts, {noise.disturbance_rms:.2g} rad/s² that last '
             f'some {noise.correlation_s:.2g} s: if the air was still, something slow is missing'
         )
     if not verdict.chosen.converged:

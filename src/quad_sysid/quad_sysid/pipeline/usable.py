@@ -17,7 +17,7 @@ from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.discover.constants import LEAST_BLOCKS
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit, bridged
+from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit
 from quad_sysid.record import ENOUGH_ROWS, SHORT_GAP_S, Record, RotorLag, motors_at_limit
 from quad_sysid.rotors import rotors_of
 
@@ -203,7 +203,7 @@ def check_limits(data: AxisData, spans: Sequence[Span], where: str) -> None:
 
 def check_moving(data: AxisData) -> None:
     """Raise NotInformativeError for training too short for a fit, or in which nothing moves."""
-    count = data.windows(bridged(data.train, data.dt)).count
+    count = data.windows(data.train).count
     if count < LEAST_WINDOWS:
         raise NotInformativeError(
             f'{data.axis}: training holds {count} windows of 0.5 s, at least {LEAST_WINDOWS} are '
