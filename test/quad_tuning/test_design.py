@@ -14,9 +14,11 @@ from quad_sysid.autopilot_table import ARDUPILOT, AUTOPILOT
 from quad_sysid.axes import TURNING
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, frequency_grid, margins, open_loop
 from quad_sysid.loop.figures import square_figures, square_wave
 from quad_sysid.loop.from_model import loop_plant
+from quad_sysid.loop.linear import WIDE
+from quad_sysid.loop.linear import loops_of as linear
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import Parameter
@@ -275,6 +277,39 @@ def test_a_filter_that_all_axes_share_stays_as_it_flew(model, flown, stays):
     own = {'yaw.rate.kp': 0.2, 'yaw.rate.ki': 0.1, 'yaw.rate.d_filter_hz': 30.0}
     m = dataclasses.replace(m, active_gains={**m.active_gains, **own, **flown})
     assert (design(m).steps[-1]['yaw.rate.d_filter_hz'] == 30.0) == stays
+
+
+@pytest.mark.parametrize(('name', 'values', 'stds'), [
+    ('mode:second_lag', (0.01,), (0.006,)), ('mode:slow_state', (0.3, 5.0), (0.2, 2.0))])
+def test_a_time_constant_that_is_hardly_known_is_drawn_above_zero(model, name, values, stds):
+    """Below zero the plant of a draw would run away, and no gains keep its margins."""
+    effect = estimate_of(name, values)
+    effect = dataclasses.replace(effect, parameters=tuple(
+        dataclasses.replace(p, std=std) for p, std in zip(effect.parameters, stds, strict=True)))
+    m = model(effects=[effect])
+    variances = [*np.diag(m.covariance), *np.square(stds)]
+    names = (*m.parameter_names, *(f'{name}.{p.name}' for p in effect.parameters))
+    m = dataclasses.replace(m, parameter_names=names, covariance=np.diag(variances))
+    drawn = ensembles.draw_models(m, np.random.default_rng(1), 200)
+    first = np.array([one.effects[0].parameters[0].value for one in drawn])
+    assert first.min() > 0.0
+    assert np.median(first) == pytest.approx(values[0], rel=0.15)
+    assert np.std(np.log(first)) == pytest.approx(stds[0] / values[0], rel=0.15)
+
+
+def test_margins_see_a_resonance_between_the_points_of_the_grid():
+    """0.5 % damping, 0.15 rad/s wide, where the points are 1.1 rad/s apart."""
+    light = next(e for e in EFFECTS if e.label == 'resonance')
+    gains = CascadeGains(4.0, 0.15, 0.03, 0.003)
+    fine = np.geomspace(0.1, 0.999 * np.pi / 0.004, 40_000)
+    for hz in np.linspace(4.3, 4.8, 5):
+        loops = linear([(plant_like(
+            'roll', np.r_[100.0, 0.04, 0.01, 0.5, 0.0, hz, 0.005, 0.006, 0.0], 0.004, None,
+            structure=Structure((Part(light),))), WIDE)])
+        seen, known = (margins(open_loop(gains, loops.response(grid), grid, 0.004), grid)
+                       for grid in (frequency_grid(0.004, loops=loops), fine))
+        assert seen.gain_margin_db[0] == pytest.approx(known.gain_margin_db[0], abs=0.3)
+        assert seen.peak_sensitivity[0] == pytest.approx(known.peak_sensitivity[0], rel=0.02)
 
 
 def test_an_axis_driven_by_another_ones_command_is_refused(model):

@@ -181,7 +181,8 @@ def promise(loops: Ensemble, before: Controller, after: Controller,
 
 def _power(loops: Ensemble, loop: ComplexArray, lag_s: float) -> FloatArray:
     """(f,) power of the rate under gusts per grid point, mean of the nominal loops."""
-    gust = loops.omega / (1.0 + (loops.omega / EVERY[loops.axis].trial.gust_rad_s) ** 2)
+    gust = loops.omega * np.gradient(np.log(loops.omega))  # the width that a point stands for
+    gust /= 1.0 + (loops.omega / EVERY[loops.axis].trial.gust_rad_s) ** 2
     gust *= 1.0 + (loops.omega * lag_s) ** 2
     power = gust * np.abs(loops.response[0] / (1.0 + loop)) ** 2
     return np.asarray(power[loops.nominal].mean(axis=0))

@@ -9,7 +9,7 @@ two amplitudes, so that a loop is judged both in wide motion and near rest.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,7 +36,7 @@ from quad_sysid.loop.likeness import Trim
 from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
-from quad_sysid.model.effect import ActingEffect, Effect, Part
+from quad_sysid.model.effect import ActingEffect, Effect, Part, Spec
 
 LEAST_PROBABILITY = 0.02
 """Probability below which a rival is ignored."""
@@ -125,6 +125,8 @@ and, where another charge of the battery changed it, 3 % in gain (0.1 % in the m
 DELAY_FLOOR_CYCLES = 0.05
 
 
+MOST_POWER = 2.0
+"""Most by which the logarithm of an effect's parameter is drawn away: a factor of 7."""
 VOLTAGE_RANGE = (0.9, 1.08)
 """Battery voltage of the next flight relative to this one's mean."""
 THROTTLE_RANGE = (0.85, 1.15)
@@ -167,14 +169,17 @@ def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[
     """`count` models whose parameters are drawn from N(estimate, covariance).
 
     Standard errors are at least FLOOR; a parameter whose row is NaN (at a bound) keeps its value.
-    Gain, lag and delay keep their signs.
+    Gain, lag and delay keep their signs; so do an effect's parameters that were fitted by their
+    logarithm, which are drawn by it, and those that cannot be negative.
     """
     names = model.parameter_names
     matrix = _believed_covariance(model)
     values, vectors = np.linalg.eigh(matrix)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     offsets = rng.standard_normal((count, len(names))) @ root.T
-    return [_moved(model, dict(zip(names, row, strict=True))) for row in offsets]
+    specs = {f'{effect.name}.{spec.name}': spec for effect in model.effects
+             for spec in acting_effect(model, effect).effect.parameters}
+    return [_moved(model, dict(zip(names, row, strict=True)), specs) for row in offsets]
 
 
 def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ensemble:
@@ -188,7 +193,7 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
                 for part in one.plant.structure.parts)
     levels = [trial.wide, trial.near_rest] if bends else [trial.wide]
     cycle = loops_of([(one, level) for level in levels for one in plants])
-    omega = frequency_grid(model.dt)
+    omega = frequency_grid(model.dt, loops=cycle)
     return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
                     nominal=np.arange(len(levels) * len(plants)) % len(plants) == 0, draws=count,
                     axis=model.axis)
@@ -223,11 +228,16 @@ def _believed_covariance(model: AxisModel) -> FloatArray:
     return np.asarray(0.5 * (matrix + matrix.T))
 
 
-def _moved(model: AxisModel, offset: dict[str, float]) -> AxisModel:
+def _moved(model: AxisModel, offset: dict[str, float], specs: Mapping[str, Spec]) -> AxisModel:
     def shifted(parameter: Parameter, name: str) -> Parameter:
-        value = parameter.value + offset.get(name, 0.0)
+        value, spec = parameter.value + offset.get(name, 0.0), specs.get(name)
         if name in ('gain', 'lag', 'delay'):
             value = max(value, 0.1 * parameter.value)
+        elif spec is not None and spec.log and parameter.value > 0.0:
+            power = offset.get(name, 0.0) / parameter.value
+            value = parameter.value * math.exp(min(max(power, -MOST_POWER), MOST_POWER))
+        elif spec is not None and spec.positive:
+            value = max(value, 0.0)
         return replace(parameter, value=value)
 
     return replace(

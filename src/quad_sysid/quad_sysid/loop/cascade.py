@@ -55,6 +55,10 @@ HIGHEST = 0.45
 Dynamics = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Discrete (a, b, c, d) of a controller from (measured rate, angle) to u at reference 0."""
 
+LIGHT, ABOUT = 0.1, np.tan(np.linspace(-1.45, 1.45, 13))
+"""Damping ratio below which a resonance needs points of its own, and where they lie about it, in
+half-widths: at equal steps of its phase."""
+
 TUNED = ('angle_kp', 'rate_kp', 'rate_ki', 'rate_kd')
 """Gains that a designer may change; the others are constants of the firmware."""
 
@@ -294,9 +298,26 @@ def noise_response(controller: Controller, plant: ComplexArray, omega: FloatArra
     return np.asarray(controller.response(omega, dt)[0] / (1.0 + loop))
 
 
-def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1) -> FloatArray:
-    """(points,) rad/s, logarithmic up to just below the Nyquist frequency."""
-    return np.geomspace(lowest_rad_s, 0.999 * np.pi / dt, points)
+def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1,
+                   loops: Loops | None = None) -> FloatArray:
+    """(points, or more) rad/s, logarithmic up to just below the Nyquist frequency.
+
+    With further points about the lightly damped resonances of `loops`, where a loop gain turns
+    within less than the distance of two points and may pass -1 unseen.
+    """
+    grid = np.geomspace(lowest_rad_s, 0.999 * np.pi / dt, points)
+    if loops is None:
+        return grid
+    z = np.linalg.eigvals(loops.a).ravel().astype(complex)
+    s = np.log(z[np.abs(z) > 1e-6]) / dt
+    s = s[(s.imag > grid[0]) & (s.imag < grid[-1]) & (np.abs(s.real) < LIGHT * np.abs(s))]
+    about, wide = s.imag[:, None] + np.abs(s.real)[:, None] * ABOUT, np.abs(s.real)[:, None]
+    order = np.argsort(about, axis=None)
+    near, widths, kept = about.ravel()[order], (wide + 0.0 * about).ravel()[order], [0.0]
+    for omega, width in zip(near, widths, strict=True):  # of resonances side by side a few do
+        if omega - kept[-1] > 0.1 * width and grid[0] < omega < grid[-1]:
+            kept.append(omega)
+    return np.union1d(grid, kept[1:])
 
 
 @dataclass(frozen=True)

@@ -161,9 +161,10 @@ class AxisData:
                  for run in bridged([(max(a, start), min(b, stop)) for a, b in sorted(spans)
                                      if a < stop and b > start], self.dt)]
         runs = [(a + settle, b) for a, b in whole]
-        for parts in (whole, spans) if self.lost is not None and self.lost.any() else ():
+        known = np.isfinite(self.rate) if self.lost is None else ~self.lost
+        for parts in () if known.all() else (whole, spans):
             intact = [(max(a + caught_up, start + settle), b) for start, stop in parts
-                      for a, b in finite_runs(~self.lost, (start, stop))]
+                      for a, b in finite_runs(known, (start, stop))]
             if 2 * len(inside(intact, usual)) >= len(inside(runs, usual)):
                 runs = intact
         return Windows(np.array(inside(runs, length), dtype=np.int64), length)
