@@ -133,8 +133,9 @@ def open_loop_margins(answer: AxisAnswer) -> Picture | None:
         return None
     model = in_flight(answer.model)
     plant = loop_plant(model)
-    omega = frequency_grid(model.dt, 400, 0.3)
-    response = loops_of([(plant, plant.trial.wide)]).response(omega)
+    loops = loops_of([(plant, plant.trial.wide)])
+    omega = frequency_grid(model.dt, 400, 0.3, loops)
+    response = loops.response(omega)
     figure, axes = canvas.panels(2, height_in=4.1)
     lines = []
     for name, gains, colour, style in sets:

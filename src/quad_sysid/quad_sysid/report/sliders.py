@@ -64,8 +64,9 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
     stick = f'{axis}.rate.tpa_kp' in active  # a blackbox log holds the stick's rate, no angle's
     flown_gains = CascadeGains.from_mapping(
         {names[0]: 0.0, **active} | ({names[0]: 0.0} if stick else {}), axis)
-    plant, omega = loop_plant(model), frequency_grid(model.dt, 200, 0.5)
+    plant = loop_plant(model)
     loops = loops_of([(plant, plant.trial.wide), (plant, plant.trial.near_rest)])
+    omega = frequency_grid(model.dt, 200, 0.5, loops)
     rate, angle = loops.response(omega)
     none = replace(flown_gains, angle_kp=0.0, rate_kp=0.0, rate_ki=0.0, rate_kd=0.0, kff=0.0)
 
