@@ -84,6 +84,28 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
 
 
+@pytest.mark.parametrize(('f', 'd'), [
+    ([1.0, -0.9], [1.0]), ([1.0, -0.9], [1.0, -0.5, 0.9]), ([1.0, -1.6, 0.63], [1.0, -0.995])])
+def test_iv4_covariance_allows_for_what_its_filter_leaves(f, d):
+    """White noise, a resonance and a drift beside the plant, in two segments.
+
+    The squared distance from the truth is chi² with p degrees of freedom: its mean over 60 seeds
+    within 4 sigma.
+    """
+    truth = polynomial_model([0, 0.5, 0.2], F=f, D=d, dt=0.1)
+    distances = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 250), 8)
+        noise = filter_signal(np.ones(1), truth.D, 0.1 * rng.standard_normal(2000))
+        z = IOData(u, qs.simulate(truth, u) + noise, 0.1, segments=[(0, 900), (900, 2000)])
+        model = qs.iv4(z, len(f) - 1, 2, 1)
+        error = model.parameters - [*f[1:], 0.5, 0.2]
+        distances.append(error @ np.linalg.solve(model.covariance, error))
+    p = len(f) + 1
+    assert np.mean(distances) == pytest.approx(p, abs=4 * math.sqrt(2 * p / 60))
+
+
 @pytest.mark.parametrize('segments', [(), ((2000, 8000), (9000, 15000))])
 def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, segments):
     if segments:

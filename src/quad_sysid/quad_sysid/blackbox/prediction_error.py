@@ -17,12 +17,10 @@ from itertools import chain
 import numpy as np
 
 from quad_sysid.blackbox.constants import EXACT, ROUNDING
-from quad_sysid.blackbox.filters import filter_columns
-from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
 from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
-from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
+from quad_sysid.blackbox.residuals import spread_of
 from quad_sysid.blackbox.start_values import (
     EDGE,
     HighOrder,
@@ -335,9 +333,5 @@ def with_covariance(point: Point) -> Model:
     inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
     if not model.C.size == model.D.size == model.A.size == 1:
         return replace(model, covariance=model.noise_variance * inverse @ inverse.T)
-    cov = autocovariance(point.errors, min(AR_ORDER_MAX, n // 10))
-    ar = whitener(cov, n)
-    power = float(ar @ cov[: ar.size]) * n / (n - p)
-    shaped = np.concatenate([filter_columns(np.ones(1), ar, g @ inverse) for g in point.gradients])
-    spread = inverse @ (shaped.T @ shaped) @ inverse.T
-    return replace(model, covariance=power * spread)
+    weights = [g @ inverse @ inverse.T for g in point.gradients]
+    return replace(model, covariance=spread_of(weights, point.errors))

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance, cross_covariance
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
 from quad_sysid.blackbox.polynomial import Polynomials
@@ -158,6 +159,20 @@ def whitener(cov: FloatArray, n: int) -> FloatArray:
         if value < best_value:
             best, best_value = poly, value
     return best
+
+
+def spread_of(weights: list[FloatArray], errors: list[FloatArray]) -> FloatArray:
+    """(p, p) covariance of Σ weights(t) e(t) over all segments, for e of any colour.
+
+    The weights (m, p) do not depend on e (m,); the filter that makes e of white noise shapes them
+    (Ljung 1999, section 9.5). p degrees of freedom of e are spent on p parameters.
+    """
+    n, p = sum(e.size for e in errors), weights[0].shape[1]
+    cov = autocovariance(errors, min(AR_ORDER_MAX, n // 10))
+    ar = whitener(cov, n)
+    power = float(ar @ cov[: ar.size]) * n / (n - p)
+    shaped = np.concatenate([filter_columns(np.ones(1), ar, w) for w in weights])
+    return np.asarray(power * (shaped.T @ shaped))
 
 
 def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range,
