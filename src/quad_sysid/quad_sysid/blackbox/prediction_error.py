@@ -256,6 +256,15 @@ def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) ->
                 / scale))
 
 
+def inverse_of(point: Point) -> FloatArray:
+    """(p, p) inverse of the Hessian, in the directions that are free and that the data show."""
+    free = _free(point)
+    hessian = free.T @ point.hessian @ free
+    units = np.outer(_scale(hessian), _scale(hessian))
+    inverse = np.linalg.pinv(hessian / units, rcond=ROUNDING, hermitian=True) / units
+    return np.asarray(free @ inverse @ free.T)
+
+
 def _scale(hessian: FloatArray) -> FloatArray:
     """(m,) units in which a Hessian (m, m) has a diagonal of ones."""
     scale = np.sqrt(np.diag(hessian))

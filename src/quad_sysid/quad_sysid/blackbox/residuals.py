@@ -167,12 +167,20 @@ def spread_of(weights: list[FloatArray], errors: list[FloatArray]) -> FloatArray
     The weights (m, p) do not depend on e (m,); the filter that makes e of white noise shapes them
     (Ljung 1999, section 9.5). p degrees of freedom of e are spent on p parameters.
     """
-    n, p = sum(e.size for e in errors), weights[0].shape[1]
-    cov = autocovariance(errors, min(AR_ORDER_MAX, n // 10))
-    ar = whitener(cov, n)
-    power = float(ar @ cov[: ar.size]) * n / (n - p)
+    ar, power = noise_filter(errors, AR_ORDER_MAX, weights[0].shape[1])
     shaped = np.concatenate([filter_columns(np.ones(1), ar, w) for w in weights])
     return np.asarray(power * (shaped.T @ shaped))
+
+
+def noise_filter(errors: list[FloatArray], order: int, spent: int) -> tuple[FloatArray, float]:
+    """Whitener of errors (m,), of at most this order, and the variance of what it leaves.
+
+    `spent`: degrees of freedom of the errors that a fit took.
+    """
+    n = sum(e.size for e in errors)
+    cov = autocovariance(errors, min(order, n // 10))
+    ar = whitener(cov, n)
+    return ar, float(ar @ cov[: ar.size]) * n / (n - spent)
 
 
 def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range,
