@@ -9,7 +9,7 @@ from known_plants import Study, reference_study
 
 import quad_sysid as qs
 from quad_sysid.axes import EVERY
-from quad_sysid.blackbox import cascade_controller, indirect, polynomial_model
+from quad_sysid.blackbox import cascade_controller, indirect, joint, polynomial_model
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.record import IOData, Record
 
@@ -82,6 +82,61 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
         least.append(qs.arx(z, 1, 2, 1).parameters[0] + 0.9)
     assert covered >= 33
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
+
+
+@pytest.mark.parametrize(('f', 'd'), [
+    ([1.0, -0.9], [1.0]), ([1.0, -0.9], [1.0, -0.5, 0.9]), ([1.0, -1.6, 0.63], [1.0, -0.995])])
+def test_iv4_covariance_allows_for_what_its_filter_leaves(f, d):
+    """White noise, a resonance and a drift beside the plant, in two segments.
+
+    The squared distance from the truth is chi² with p degrees of freedom: its mean over 60 seeds
+    within 4 sigma.
+    """
+    truth = polynomial_model([0, 0.5, 0.2], F=f, D=d, dt=0.1)
+    distances = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 250), 8)
+        noise = filter_signal(np.ones(1), truth.D, 0.1 * rng.standard_normal(2000))
+        z = IOData(u, qs.simulate(truth, u) + noise, 0.1, segments=[(0, 900), (900, 2000)])
+        model = qs.iv4(z, len(f) - 1, 2, 1)
+        error = model.parameters - [*f[1:], 0.5, 0.2]
+        distances.append(error @ np.linalg.solve(model.covariance, error))
+    p = len(f) + 1
+    assert np.mean(distances) == pytest.approx(p, abs=4 * math.sqrt(2 * p / 60))
+
+
+@pytest.mark.parametrize('case', ['a fast plant', 'the reference study'])
+def test_joint_covariance_is_that_of_both_stages(study, case):
+    """The plant's squared distance from the truth is chi²: mean over 10 seeds within 4 sigma.
+
+    In both cases feedback takes most of the noise out of y; in the reference study the plant's
+    high gain at low frequencies makes the first stage's errors count, too.
+    """
+    order, structure = 7, qs.bj
+    if case == 'a fast plant':
+        order, structure, study = 6, qs.oe, Study(polynomial_model(
+            [0, 0.3, 0.1], F=[1, -0.9], C=[1, 0.5], D=[1, -0.9], dt=0.004, noise_variance=0.05),
+            amplitude=5.0)
+    true, nf, nk = study.truth, study.truth.F.size - 1, study.truth.nk
+    orders = (2, 2, 2, nf, nk) if structure is qs.bj else (2, nf, nk)
+    distances = []
+    for seed in range(10):
+        z = flight(replace(study, samples=5000), seed)
+        model = joint(z, lambda data: structure(data, *orders), order=order)
+        assert model.approach == 'joint'
+        plant = [0, 1, *range(model.parameters.size - nf, model.parameters.size)]
+        error = model.parameters[plant] - [*true.B[nk:], *true.F[1:]]
+        distances.append(error @ np.linalg.solve(model.covariance[np.ix_(plant, plant)], error))
+    p = 2 + nf
+    assert np.mean(distances) == pytest.approx(p, abs=4 * math.sqrt(2 * p / 10))
+
+
+def test_joint_without_feedback_is_direct_and_with_poles_in_common_has_no_errors(study):
+    z = study.record(np.random.default_rng(3), closed=False)
+    opened, direct = joint(z, lambda data: qs.bj(data, 2, 2, 2, 2, 3)), qs.bj(z, 2, 2, 2, 2, 3)
+    np.testing.assert_array_equal(opened.covariance, direct.covariance)
+    assert joint(flight(study, 3), lambda data: qs.arx(data, 2, 2, 3)).std is None
 
 
 @pytest.mark.parametrize('segments', [(), ((2000, 8000), (9000, 15000))])

@@ -1,10 +1,12 @@
 """Simulation, prediction, residual tests, spectra, step A: against the truth and by twins."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from known_plants import Study, prbs_bits, reference_study
+from scipy import special
 from scipy.signal import lfilter
 
 import quad_sysid as qs
@@ -70,6 +72,29 @@ def test_residual_test_passes_the_truth_as_often_as_stated(study):
         found = innovation_test(e, IOData(u, e, 0.004))
         beyond.append(np.abs(found.cross_correlation) > found.cross_bound)
     assert 0.002 < np.mean(beyond) < 0.03
+
+
+def test_whiteness_allows_for_what_was_fitted_to_the_same_errors(study, record):
+    """p of right models is uniform: means over 30 seeds within 4 sigma (0.29 √30) of a half."""
+    p = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        u, noise = np.repeat(rng.choice([-1.0, 1.0], 400), 5), 0.1 * rng.standard_normal(2000)
+        denominator = np.array([1.0, -1.6, 0.63])
+        y = filter_signal(np.array([0.0, 0.05, 0.04]), denominator, u)
+        z = IOData(u, y + filter_signal(np.ones(1), denominator, noise), 0.01)
+        model = qs.arx(z, 10, 10, 1)
+        p.append([step_a([model], z, {}, lags)[0].test.p_white for lags in (25, 5)])
+    np.testing.assert_allclose(np.mean(p, axis=0), 0.5, atol=4 * 0.29 / math.sqrt(30))
+    # nothing is taken off for B and F, nor where the fit did not minimise these errors
+    joint = replace(study.truth, approach='joint')
+    for model, spent in ((study.truth, 4), (joint, 0), (qs.oe(record, 2, 2, 3), 0),
+                         (qs.arx(record, 3, 2, 3), 3), (qs.iv4(record, 3, 2, 3), 0)):
+        test = step_a([model], record, {})[0].test
+        plain = qs.residual_test(record, model)
+        box = special.chdtri(25, plain.p_white)
+        assert test.p_white == pytest.approx(special.chdtrc(25 - spent, box), rel=1e-6, abs=1e-300)
+        assert test.p_causal == plain.p_causal
 
 
 def test_residual_test_sees_feedback_only_where_there_is_some(study, record):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from quad_sysid import cli
 from quad_sysid.bags import write_bag
@@ -15,7 +16,7 @@ from quad_sysid.imports.log import ForeignLog
 from quad_sysid.logview.flown import Flown, stretches
 from quad_sysid.logview.measure import look_at
 from quad_sysid.logview.read import look, of_log, of_record
-from quad_sysid.logview.response import feedback
+from quad_sysid.logview.response import LoopResponse, feedback, measured_delay, plant_delay
 from quad_sysid.logview.spectrum import frames
 from quad_sysid.logview.step import ANGLE, responses
 from quad_sysid.loop.figures import step_figures
@@ -173,6 +174,20 @@ def test_the_delay_of_a_filter_is_measured_where_both_sides_are_logged(flight):
         rests = [d for d in look(of_flight).whole.axes['roll'].loop.delays if 'rest' in d.part]
         assert bool(rests) == stated
         assert all(rest.milliseconds > 0.0 for rest in rests)
+
+
+@pytest.mark.parametrize(('late', 'at_hz'), [(5, 10.0), (20, 10.0), (20, 40.0), (30, 40.0)])
+def test_a_pure_delay_is_measured_however_often_it_turns_the_phase(late, at_hz):
+    """Within 0.5 %: what a frame of 2 s has at its ends is not common to both signals."""
+    white = np.random.default_rng(0).standard_normal(30_000)
+    x = lfilter([0.1], [1.0, -0.9], white)
+    y = np.concatenate((np.zeros(late), x[:-late]))
+    found = measured_delay('part', x, y, np.ones(len(x), bool), 0.001, at_hz)
+    assert found.milliseconds == pytest.approx(late, rel=0.005)
+    f = np.arange(1.0, 60.0, 0.5)
+    plant = np.exp(-2e-3j * np.pi * f * late) / (1j * f)
+    loop = LoopResponse(f, plant, np.ones_like(f), 5.0, 1.0, 5.0, plant=plant)
+    assert 1e3 * plant_delay(loop, at_hz) == pytest.approx(late, rel=1e-6)
 
 
 def test_each_set_of_gains_is_measured_by_itself():

@@ -17,17 +17,31 @@ import numpy as np
 
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
-from quad_sysid.blackbox.frequency import autocovariance
-from quad_sysid.blackbox.innovations import without
+from quad_sysid.blackbox.frequency import cross_covariance
+from quad_sysid.blackbox.innovations import lead_of, without
 from quad_sysid.blackbox.model import Model
-from quad_sysid.blackbox.prediction_error import Point, descend, oe, point_of, with_covariance
+from quad_sysid.blackbox.prediction_error import (
+    Point,
+    descend,
+    evaluate,
+    inverse_of,
+    oe,
+    point_of,
+    with_covariance,
+)
 from quad_sysid.blackbox.regression import check_informative, check_order
-from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
+from quad_sysid.blackbox.residuals import AR_ORDER_MAX, noise_filter
 from quad_sysid.blackbox.simulate import predict
 from quad_sysid.blackbox.start_values import inside
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
+
+LOOP_NOISE_ORDER = 100
+"""Highest order of the noise's filter behind a loop: its integrators leave hardly any noise below
+the crossover, which a short autoregression cannot show."""
+APART = 10
+"""Samples by which one noise may come later in u than in y, or earlier."""
 
 
 def joint(z: IOData, fit: Callable[[IOData], Model], *, order: int = 6) -> Model:
@@ -35,10 +49,61 @@ def joint(z: IOData, fit: Callable[[IOData], Model], *, order: int = 6) -> Model
 
     The two-stage method (Van den Hof, Schrama 1993), right whatever the noise and unknown the
     controller. `order` is that of the loop's response from r. Fit an output error or BJ
-    structure. Needs r, else BadInputError.
+    structure; one with A has no standard errors. Needs r, else BadInputError.
     """
-    clean = noise_free('joint', z, z.u, order)
-    return replace(fit(replace(z, u=clean)), approach='joint')
+    loop = _from_reference('joint', z, z.u)
+    if np.array_equal(loop.u, loop.y):
+        return replace(fit(z), approach='joint')
+    first = _response('joint', loop, order)
+    behind = replace(z, u=np.nan_to_num(predict(first, loop, np.inf)))
+    model = replace(fit(behind), approach='joint')
+    if model.covariance is None or model.A.size > 1:
+        return replace(model, covariance=None)
+    covariance, nf = np.array(model.covariance), model.F.size - 1
+    is_plant = np.zeros(len(covariance), dtype=bool)
+    is_plant[: model.B.size - model.nk] = is_plant[len(covariance) - nf :] = True
+    covariance[is_plant] = covariance[:, is_plant] = 0.0  # noise and plant part are independent
+    covariance[np.ix_(is_plant, is_plant)] = _of_two_stages(
+        first, loop, model, behind)[np.ix_(is_plant, is_plant)]
+    return replace(model, covariance=covariance)
+
+
+def _of_two_stages(first: Model, loop: IOData, second: Model, behind: IOData) -> FloatArray:
+    """(p, p) covariance of `second`, fitted behind the free run of `first`; both linearised.
+
+    Noise enters by the errors of y in the second stage, and by those of u in the first: its
+    parameters' errors pass through its free run and the plant into the errors of y. Feedback makes
+    both of one noise, and where the loop gain is high they nearly cancel. The filters that make
+    the errors white shape the weights of each, as in `spread_of`.
+    """
+    least = max(lead_of(model)[1] + model.F.size for model in (first, second))
+    segments = tuple((a, b) for a, b in loop.segments if b - a > least)
+    one, two = (evaluate(model, replace(z, segments=segments))
+                for model, z in ((first, loop), (second, behind)))
+
+    def whole(parts: list[FloatArray]) -> list[FloatArray]:
+        return [np.pad(part, [(b - a - len(part), 0), *[(0, 0)] * (part.ndim - 1)])
+                for part, (a, b) in zip(parts, segments, strict=True)]
+
+    passed_on = np.sum([  # how the second stage's slope moves with the first one's parameters
+        after.T @ filter_columns(np.convolve(second.D, second.B),
+                                 np.convolve(second.C, second.F), before)
+        for before, after in zip(whole(one.gradients), whole(two.gradients), strict=True)], axis=0)
+    inverse = inverse_of(two)
+    turns = (-inverse_of(one) @ passed_on.T @ inverse, inverse)
+    unit, weights, innovations, total = np.ones(1), [], [], np.zeros_like(inverse)
+    for point, turn in zip((one, two), turns, strict=True):
+        errors = whole(point.errors)
+        ar, power = noise_filter(errors, LOOP_NOISE_ORDER, len(point.slope))
+        weights.append([filter_columns(unit, ar, (g @ turn)[::-1])[::-1]
+                        for g in whole(point.gradients)])
+        innovations.append([filter_signal(ar, unit, e, ar.size - 1) for e in errors])
+        total += power * sum(w.T @ w for w in weights[-1])
+    common = cross_covariance(innovations[1], innovations[0], APART)
+    for before, after in zip(*weights, strict=True):
+        spread = filter_columns(common, unit, np.pad(before, [(0, APART), (0, 0)]))[APART:]
+        total += after.T @ spread + spread.T @ after
+    return total
 
 
 def noise_free(where: str, z: IOData, x: FloatArray, order: int | None = None) -> FloatArray:
@@ -47,6 +112,14 @@ def noise_free(where: str, z: IOData, x: FloatArray, order: int | None = None) -
     A high-order ARX model, or, with `order`, an output error model of that order. Raises
     BadInputError, naming `where`, where the reference is missing or cannot serve.
     """
+    loop = _from_reference(where, z, x)
+    if np.array_equal(loop.u, x):
+        return loop.u
+    return np.asarray(np.nan_to_num(predict(_response(where, loop, order), loop, np.inf)))
+
+
+def _from_reference(where: str, z: IOData, x: FloatArray) -> IOData:
+    """The data from the reference z.r to x; BadInputError where it cannot serve."""
     if z.r is None:
         raise BadInputError(where, 'needs the external reference r', None, 'give IOData(…, r=…)')
     used = np.concatenate([z.r[start:stop] for start, stop in z.segments])
@@ -56,20 +129,20 @@ def noise_free(where: str, z: IOData, x: FloatArray, order: int | None = None) -
     if np.ptp(used) == 0.0:
         raise BadInputError(where, 'the reference r is constant, it drives nothing',
                             float(used[0]), 'use a stretch with excitation')
-    if np.array_equal(z.r, x):
-        return z.r
-    loop = IOData(u=z.r, y=x, dt=z.dt, segments=z.segments)
+    return IOData(u=z.r, y=x, dt=z.dt, segments=z.segments)
+
+
+def _response(where: str, loop: IOData, order: int | None) -> Model:
+    """The model of `noise_free`."""
     try:
         if order is not None:
-            model = oe(loop, order, order, 0)
-        else:
-            longest = max(stop - start for start, stop in z.segments)
-            high = max(1, min(20, longest // 20))  # instruments need no exact model
-            model = stabilised(arx(loop, high, high, 0))
+            return oe(loop, order, order, 0)
+        longest = max(stop - start for start, stop in loop.segments)
+        high = max(1, min(20, longest // 20))  # instruments need no exact model
+        return stabilised(arx(loop, high, high, 0))
     except BadInputError as error:
         raise BadInputError(
             where, f'no response from the reference r can be fitted ({error})') from error
-    return np.asarray(np.nan_to_num(predict(model, loop, np.inf)))
 
 
 def stabilised(model: Model) -> Model:
@@ -132,7 +205,7 @@ def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController,
         model, iterations = end.model, iterations + end.model.iterations
         raw = _evaluate(model, z, controller, np.ones(1))
         n = sum(e.size for e in raw.errors)
-        ar = whitener(autocovariance(raw.errors, min(AR_ORDER_MAX, n // 10)), n)
+        ar, _ = noise_filter(raw.errors, AR_ORDER_MAX, nb + nf)
     return replace(with_covariance(end), iterations=iterations, samples=n, loss=raw.squares / n,
                    noise_variance=raw.squares / (n - nb - nf))
 

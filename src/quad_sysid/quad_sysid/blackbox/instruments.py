@@ -20,7 +20,7 @@ from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.polynomial import delayed, monic
 from quad_sysid.blackbox.prediction_error import evaluate
 from quad_sysid.blackbox.regression import check_informative, check_orders, lagged
-from quad_sysid.blackbox.residuals import whitener
+from quad_sysid.blackbox.residuals import spread_of, whitener
 from quad_sysid.blackbox.simulate import initial_state, simulate
 from quad_sysid.blackbox.start_values import bj_starts, high_order, inside
 from quad_sysid.contract import FloatArray
@@ -38,7 +38,8 @@ def iv4(z: IOData, na: int, nb: int, nk: int) -> Model:
     """Fit A y = B u + v by the four-stage instrumental variable method (Ljung 1999, eq. 15.26).
 
     The signal behind the instruments is the reference z.r where the data hold one, else u, which
-    is right in open loop only. Raises BadInputError as `arx`.
+    is right in open loop only. The covariance allows for errors that the filter leaves coloured.
+    Raises BadInputError as `arx`.
     """
     orders = check_orders('iv4', na=na, nb=nb, nk=nk)
     check_informative('iv4', z, 2 * (na + nb), max(na, nk + nb - 1))
@@ -50,11 +51,10 @@ def iv4(z: IOData, na: int, nb: int, nk: int) -> Model:
     n = sum(e.size for e in errors)
     ar = whitener(autocovariance(errors, min(na + nb, n // 10)), n)
     blocks = _blocks(z, source, second, ar, np.ones(1))
-    theta, spread = _solve('iv4', blocks)
-    whitened = np.concatenate([y - x @ theta for x, _, y in blocks])
+    theta, weights = _solve('iv4', blocks)
     model = replace(second, A=monic(theta[:na]), B=delayed(theta[na:], nk), structure='IV4',
                     orders=orders,
-                    covariance=spread * float(whitened @ whitened) / (whitened.size - na - nb))
+                    covariance=spread_of(weights, [y - x @ theta for x, _, y in blocks]))
     n, sse = squares(model, z)
     return replace(model, samples=n, loss=sse / n, noise_variance=sse / (n - na - nb),
                    warnings=() if model.stable else (UNSTABLE,))
@@ -77,7 +77,8 @@ def clriv(z: IOData, nb: int, nc: int, nd: int, nf: int, nk: int) -> Model:
         iteration += 1
         refined, variance, noise_spread = _noise_step(model, z)
         shape = np.convolve(refined.C, refined.F)
-        theta, spread = _solve('clriv', _blocks(z, clean, refined, refined.D, shape, nf))
+        theta, weights = _solve('clriv', _blocks(z, clean, refined, refined.D, shape, nf))
+        spread = np.sum([w.T @ w for w in weights], axis=0)
         f = monic(theta[:nf])
         was_unstable = inside(f) is not f
         refined = replace(refined, B=delayed(theta[nf:], nk), F=inside(f))
@@ -132,8 +133,8 @@ def _blocks(z: IOData, source: FloatArray, model: Model, num: FloatArray, den: F
     return blocks
 
 
-def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
-    """Return theta = (ZᵀX)⁻¹ Zᵀy, and (ZᵀX)⁻¹ ZᵀZ (ZᵀX)⁻ᵀ."""
+def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, list[FloatArray]]:
+    """Return theta = (ZᵀX)⁻¹ Zᵀy, and by block the weights (m, p) of each row's y in it."""
     if not blocks:
         raise BadInputError(where, 'every segment is too short for the orders',
                             remedy='take lower orders or longer segments')
@@ -146,9 +147,8 @@ def _solve(where: str, blocks: list[Block]) -> tuple[FloatArray, FloatArray]:
         raise BadInputError(where, 'the instruments do not excite all parameters',
                             remedy='lower the orders')
     right = sum(((w / unit).T @ y for _, w, y in blocks), np.zeros(scale.size))
-    gram = sum(((w / unit).T @ (w / unit) for _, w, _ in blocks), np.zeros_like(cross))
     inverse = np.linalg.inv(cross) / scale[:, None]
-    return inverse @ right, inverse @ gram @ inverse.T
+    return inverse @ right, [(w / unit) @ inverse.T for _, w, _ in blocks]
 
 
 def _noise_step(model: Model, z: IOData) -> tuple[Model, float, FloatArray]:

@@ -17,12 +17,10 @@ from itertools import chain
 import numpy as np
 
 from quad_sysid.blackbox.constants import EXACT, ROUNDING
-from quad_sysid.blackbox.filters import filter_columns
-from quad_sysid.blackbox.frequency import autocovariance
 from quad_sysid.blackbox.innovations import errors_and_gradient
 from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.regression import check_exciting, check_informative, check_orders
-from quad_sysid.blackbox.residuals import AR_ORDER_MAX, whitener
+from quad_sysid.blackbox.residuals import spread_of
 from quad_sysid.blackbox.start_values import (
     EDGE,
     HighOrder,
@@ -258,6 +256,15 @@ def _step(point: Point, free: FloatArray | None = None, damping: float = 0.0) ->
                 / scale))
 
 
+def inverse_of(point: Point) -> FloatArray:
+    """(p, p) inverse of the Hessian, in the directions that are free and that the data show."""
+    free = _free(point)
+    hessian = free.T @ point.hessian @ free
+    units = np.outer(_scale(hessian), _scale(hessian))
+    inverse = np.linalg.pinv(hessian / units, rcond=ROUNDING, hermitian=True) / units
+    return np.asarray(free @ inverse @ free.T)
+
+
 def _scale(hessian: FloatArray) -> FloatArray:
     """(m,) units in which a Hessian (m, m) has a diagonal of ones."""
     scale = np.sqrt(np.diag(hessian))
@@ -335,9 +342,5 @@ def with_covariance(point: Point) -> Model:
     inverse = free @ (np.linalg.solve(r, np.eye(r.shape[0])) / scale[:, None])
     if not model.C.size == model.D.size == model.A.size == 1:
         return replace(model, covariance=model.noise_variance * inverse @ inverse.T)
-    cov = autocovariance(point.errors, min(AR_ORDER_MAX, n // 10))
-    ar = whitener(cov, n)
-    power = float(ar @ cov[: ar.size]) * n / (n - p)
-    shaped = np.concatenate([filter_columns(np.ones(1), ar, g @ inverse) for g in point.gradients])
-    spread = inverse @ (shaped.T @ shaped) @ inverse.T
-    return replace(model, covariance=power * spread)
+    weights = [g @ inverse @ inverse.T for g in point.gradients]
+    return replace(model, covariance=spread_of(weights, point.errors))

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from quad_sysid.blackbox.filters import filter_columns
 from quad_sysid.blackbox.frequency import autocovariance, cross_covariance
 from quad_sysid.blackbox.innovations import SegmentErrors, one_step_errors
 from quad_sysid.blackbox.polynomial import Polynomials
@@ -24,6 +25,9 @@ from quad_sysid.record import IOData, finite_runs
 
 AR_ORDER_MAX = 30
 """Highest order of a whitener: an eighth of a second at 250 Hz, a resonance's memory."""
+
+FREE_LAGS = 10
+"""Lags that the test of whiteness keeps beyond the coefficients that were fitted to the errors."""
 
 
 @dataclass(frozen=True)
@@ -66,20 +70,28 @@ class ResidualTest:
 
 
 def residual_test(
-    z: IOData, model: Polynomials, lags: int = 25, confidence: float = 0.99
+    z: IOData, model: Polynomials, lags: int = 25, confidence: float = 0.99, *,
+    fitted: bool = False,
 ) -> ResidualTest:
     """Test the one-step residual of `model` on z (MATLAB: resid).
 
     Each boolean is one joint test at `confidence` over all its lags; the bounds of single lags
     are for pictures. For the tests against inputs residual and input are first whitened by one
     autoregression of the residual, so that a coloured residual (OE, IV) is judged fairly.
+
+    `fitted`: the model is the one that makes these errors of z smallest. The test of whiteness
+    then has one degree of freedom less for each coefficient of A, C and D (Box, Pierce 1970);
+    those of B and F hardly change the errors' correlation (Pierce 1972). With A, whose poles are
+    the plant's too, that is somewhat strict where the input is much stronger than the noise.
     Raises BadInputError where z is too short for the lags.
     """
     if isinstance(z, Polynomials):
         raise BadInputError('residual_test', 'the data come first', 'a model',
                             'residual_test(z, model)')
     _check(lags, confidence)
-    return _tested(one_step_errors(model, z), z, lags, confidence, at_once=model.nk == 0)
+    spent = model.A.size + model.C.size + model.D.size - 3 if fitted else 0
+    return _tested(one_step_errors(model, z), z, lags, confidence, at_once=model.nk == 0,
+                   spent=spent)
 
 
 def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
@@ -100,22 +112,25 @@ def innovation_test(innovations: FloatArray, z: IOData, lags: int = 25,
 
 
 def _tested(parts: list[SegmentErrors], z: IOData, lags: int, confidence: float, *,
-            at_once: bool) -> ResidualTest:
-    """All tests of one-step errors; `at_once`: the input may act in its own sample."""
-    n = sum(part.errors.size for part in parts)
-    if n < 10 * lags:
+            at_once: bool, spent: int = 0) -> ResidualTest:
+    """All tests of one-step errors; `at_once`: the input may act in its own sample.
+
+    `spent` degrees of freedom of whiteness went into a fit.
+    """
+    n, most = sum(part.errors.size for part in parts), max(lags, spent + FREE_LAGS * (spent > 0))
+    if n < 10 * most:
         raise BadInputError('residual_test',
-                            f'too few residuals for {lags} lags, needs {10 * lags}', n,
+                            f'too few residuals for {most} lags, needs {10 * most}', n,
                             'take fewer lags or a longer record')
     mean = float(np.concatenate([part.errors for part in parts]).mean())
     errors = [part.errors - mean for part in parts]
-    cov = autocovariance(errors, max(lags, min(1000, n // 5)))
+    cov = autocovariance(errors, max(most, min(1000, n // 5)))
     if cov[0] <= 0.0:
         raise BadInputError('residual_test', 'the residual is zero throughout', 0.0,
                             'give measured data; without noise there is nothing to test')
     rho = cov / cov[0]
-    box = n * (n + 2.0) * np.sum(rho[1 : lags + 1] ** 2 / (n - np.arange(1, lags + 1)))
-    p_white = float(special.chdtrc(lags, box))
+    box = n * (n + 2.0) * np.sum(rho[1 : most + 1] ** 2 / (n - np.arange(1, most + 1)))
+    p_white = float(special.chdtrc(most - spent, box))
     ar = whitener(cov[: AR_ORDER_MAX + 1], n)
     p_input = _explained(parts, z.u, ar, range(0 if at_once else 1, lags + 1), range(0))
     signal = z.u if z.r is None else z.r
@@ -158,6 +173,28 @@ def whitener(cov: FloatArray, n: int) -> FloatArray:
         if value < best_value:
             best, best_value = poly, value
     return best
+
+
+def spread_of(weights: list[FloatArray], errors: list[FloatArray]) -> FloatArray:
+    """(p, p) covariance of Σ weights(t) e(t) over all segments, for e of any colour.
+
+    The weights (m, p) do not depend on e (m,); the filter that makes e of white noise shapes them
+    (Ljung 1999, section 9.5). p degrees of freedom of e are spent on p parameters.
+    """
+    ar, power = noise_filter(errors, AR_ORDER_MAX, weights[0].shape[1])
+    shaped = np.concatenate([filter_columns(np.ones(1), ar, w) for w in weights])
+    return np.asarray(power * (shaped.T @ shaped))
+
+
+def noise_filter(errors: list[FloatArray], order: int, spent: int) -> tuple[FloatArray, float]:
+    """Whitener of errors (m,), of at most this order, and the variance of what it leaves.
+
+    `spent`: degrees of freedom of the errors that a fit took.
+    """
+    n = sum(e.size for e in errors)
+    cov = autocovariance(errors, min(order, n // 10))
+    ar = whitener(cov, n)
+    return ar, float(ar @ cov[: ar.size]) * n / (n - spent)
 
 
 def _explained(parts: list[SegmentErrors], x: FloatArray, ar: FloatArray, past: range,

@@ -220,11 +220,8 @@ def measured_delay(part: str, before: FloatArray, after: FloatArray,
         return None
     f = between.frequency_hz
     used = (between.coherence(between.yr, between.yy) >= COHERENT) & (f > 0.0)
-    used &= np.abs(np.log(np.maximum(f, 1e-9) / at_hz)) < NEAR
-    if used.sum() < FEWEST_LINES:
-        return None
-    seconds = _delay_at(f[used], np.unwrap(np.angle(between.yr[used])), at_hz)
-    return of_seconds(part, seconds, at_hz, 'measurement')
+    seconds = _delay_at(f[used], between.yr[used], at_hz)
+    return None if seconds is None else of_seconds(part, seconds, at_hz, 'measurement')
 
 
 def of_seconds(part: str, seconds: float, at_hz: float, how: str) -> Delay:
@@ -254,12 +251,17 @@ def plant_delay(loop: LoopResponse, at_hz: float) -> float | None:
     f = loop.frequency_hz[is_finite]
     if len(f) < FEWEST_LINES or not f[0] <= at_hz <= f[-1]:
         return None
-    phase = np.unwrap(np.angle(loop.plant[is_finite] * 1j * f))
-    near = np.abs(np.log(f / at_hz)) < NEAR
-    return _delay_at(f[near], phase[near], at_hz) if near.sum() >= FEWEST_LINES else None
+    return _delay_at(f, loop.plant[is_finite] * 1j * f, at_hz)
 
 
-def _delay_at(frequency_hz: FloatArray, phase: FloatArray, at_hz: float) -> float:
-    """Seconds at one frequency, from a straight line through the phases around it."""
-    line = np.polyfit(np.log(frequency_hz / at_hz), phase, 1)
-    return -float(line[1]) / (2.0 * np.pi * at_hz)
+def _delay_at(frequency_hz: FloatArray, response: ComplexArray, at_hz: float) -> float | None:
+    """Seconds at one frequency, from a parabola over frequency through the phases around it.
+
+    A delay is a straight line there, a lag bends. The phase is counted from the lowest line on,
+    since a long delay turns it more than once before.
+    """
+    near = np.abs(np.log(frequency_hz / at_hz)) < NEAR
+    if near.sum() < FEWEST_LINES:
+        return None
+    fitted = np.polyfit(frequency_hz[near] - at_hz, np.unwrap(np.angle(response))[near], 2)
+    return -float(fitted[2]) / (2.0 * np.pi * at_hz)
