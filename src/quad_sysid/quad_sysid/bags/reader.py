@@ -6,6 +6,7 @@ on the grid. No fitting, no filtering.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +45,8 @@ BATTERY_GAP_S = 2.0
 """Longest gap, s, over which the voltage is interpolated."""
 LOST_WARNING = 0.01
 """Share of the cycles without a value above which a warning says so."""
+LATER_PART = re.compile(r'_[1-9][0-9]{0,3}(\.[a-z0-9]+)+$')
+"""How the name ends of a file of a split bag that is not its first."""
 SPEED_GAP = 5.0
 """Rotor speeds that are further apart than this many of their usual intervals are not joined."""
 
@@ -170,6 +173,9 @@ def _read(path: Path) -> _Content:
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
     """The craft that the bag describes; the contract's X frame where it does not."""
     if not content.description:
+        if LATER_PART.search(source) and Path(source).is_file():
+            warnings.append(f'is one file of a split bag by its name, and has no {DESCRIPTION}: '
+                            "the contract's X frame holds; read the whole bag")
         return X
     try:
         craft = from_urdf(content.description)
