@@ -24,8 +24,17 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from quad_sysid.app.commands import commands
-from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive, too_large
+from quad_sysid.app.folder import (
+    RESULTS,
+    RefusedError,
+    entries,
+    new_file,
+    receive,
+    safe_name,
+    too_large,
+)
 from quad_sysid.app.jobs import Job, Queue
+from quad_sysid.files import unfinished
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
@@ -88,9 +97,7 @@ class App:
                 return _sealed(responses.JSONResponse({'error': str(error)}, 400))
             except OSError as error:
                 where = Path(error.filename or self.folder).name
-                return _sealed(responses.JSONResponse({
-                    'error': f'{where}: {error.strerror}; check the permissions of the folder, '
-                    'and the disk'}, 400))
+                return _sealed(responses.JSONResponse({'error': f'{where}: {_why(error)}'}, 400))
             except ClientDisconnect:
                 return Response(status_code=499)
 
@@ -134,15 +141,19 @@ class App:
             path = await self._received(name, request)
         except RefusedError as error:
             raise RefusedError(f'{name[-60:]}: {error}') from error
+        except OSError as error:
+            raise RefusedError(f'{name[-60:]}: {_why(error)}') from error
         return responses.JSONResponse({'path': path.name})
 
     async def _received(self, name: str, request: Request) -> Path:
         length = request.headers.get('content-length', '')
         if length.isdigit() and int(length) > self.most_bytes:
             raise RefusedError(too_large(self.most_bytes))
-        target = new_file(self.folder, name)
-        await receive(target, request.stream(), self.most_bytes)
-        return target
+        safe_name(name)
+        with unfinished(self.folder) as aside:  # not listed, nor cut off where the app is killed
+            arrived = new_file(aside, name)
+            await receive(arrived, request.stream(), self.most_bytes)
+            return arrived.replace(new_file(self.folder, arrived.name))
 
     async def _jobs(self, _: Request) -> Response:
         return responses.JSONResponse([_shown(job) for job in self.queue.all()])
@@ -190,6 +201,10 @@ class App:
         answer = responses.FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
         return answer
+
+
+def _why(error: OSError) -> str:
+    return f'{error.strerror}; check the permissions of the folder, and the disk'
 
 
 def _shown(job: Job) -> dict[str, Any]:
