@@ -192,6 +192,19 @@ def test_what_cannot_be_read_is_neither_opened_nor_hides_the_rest(tmp_path, monk
         commands(tmp_path, {'kind': 'import', 'files': ['pipe.csv']})
 
 
+def test_a_name_that_is_no_utf_8_is_listed_and_can_be_chosen(server):
+    name = os.fsdecode(b'vol_\xe9.csv')
+    (server.folder / name).write_text('t\n')
+    status, text = server.ask('/files')
+    assert (status, name in [entry['path'] for entry in json.loads(text)]) == (200, True)
+    status, text = server.job(kind='look', files=[name])
+    job = json.loads(text)
+    assert (status, job['title']) == (200, r'look at vol_\udce9.csv')
+    assert server.ask(f'/jobs/{job["number"]}/stop', b'')[0] == 200
+    assert server.ask('/jobs')[0] == 200
+    (server.folder / name).unlink()
+
+
 def test_an_upload_is_listed_when_it_is_whole_and_none_is_left_cut_off(server):
     before = {path.name for path in server.folder.iterdir()}
     host, port = server.base.removeprefix('http://').split(':')

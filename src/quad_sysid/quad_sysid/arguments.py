@@ -6,6 +6,7 @@ The commands are in cli.py and in the cli.py of their packages.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import shutil
 import sys
@@ -181,6 +182,9 @@ def progress(*, quiet: bool = False) -> Callable[[str], None]:
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     """Run the command; returns its exit status."""
     offer_completion(parser)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a file's name may hold any byte
+            stream.reconfigure(errors='backslashreplace')
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')

@@ -34,7 +34,7 @@ from quad_sysid.app.folder import (
     too_large,
 )
 from quad_sysid.app.jobs import Job, Queue
-from quad_sysid.files import unfinished
+from quad_sysid.files import escaped, unfinished
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
@@ -94,10 +94,10 @@ class App:
             try:
                 return _sealed(await handler(request))
             except RefusedError as error:
-                return _sealed(responses.JSONResponse({'error': str(error)}, 400))
+                return _sealed(_json({'error': str(error)}, 400))
             except OSError as error:
                 where = Path(error.filename or self.folder).name
-                return _sealed(responses.JSONResponse({'error': f'{where}: {_why(error)}'}, 400))
+                return _sealed(_json({'error': f'{where}: {_why(error)}'}, 400))
             except ClientDisconnect:
                 return Response(status_code=499)
 
@@ -123,7 +123,8 @@ class App:
     async def _home(self, _: Request) -> Response:
         page = (HERE / 'app.html').read_text(encoding='utf-8')
         page = page.replace('MOST_BYTES', str(self.most_bytes))
-        return responses.HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
+        name = escaped(self.folder.resolve().name)
+        return responses.HTMLResponse(page.replace('FOLDER', escape(name)))
 
     async def _script(self, _: Request) -> Response:
         return responses.FileResponse(HERE / 'app.js', media_type='text/javascript')
@@ -133,7 +134,7 @@ class App:
         return Response(SHEET + styles, media_type='text/css')
 
     async def _files(self, _: Request) -> Response:
-        return responses.JSONResponse([asdict(entry) for entry in entries(self.folder)])
+        return _json([asdict(entry) for entry in entries(self.folder)])
 
     async def _upload(self, request: Request) -> Response:
         name = request.query_params.get('name', '')
@@ -143,7 +144,7 @@ class App:
             raise RefusedError(f'{name[-60:]}: {error}') from error
         except OSError as error:
             raise RefusedError(f'{name[-60:]}: {_why(error)}') from error
-        return responses.JSONResponse({'path': path.name})
+        return _json({'path': path.name})
 
     async def _received(self, name: str, request: Request) -> Path:
         length = request.headers.get('content-length', '')
@@ -156,7 +157,7 @@ class App:
             return arrived.replace(new_file(self.folder, arrived.name))
 
     async def _jobs(self, _: Request) -> Response:
-        return responses.JSONResponse([_shown(job) for job in self.queue.all()])
+        return _json([_shown(job) for job in self.queue.all()])
 
     async def _start(self, request: Request) -> Response:
         raw = b''
@@ -173,7 +174,7 @@ class App:
         *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
             made = [self.queue.add(*one) for one in before]
-            return responses.JSONResponse(_shown(self.queue.add(*last, after=made)))
+            return _json(_shown(self.queue.add(*last, after=made)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 
@@ -188,7 +189,7 @@ class App:
 
         job = self._job(request)
         await run_in_threadpool(self.queue.stop, job)
-        return responses.JSONResponse(_shown(job))
+        return _json(_shown(job))
 
     async def _text(self, request: Request) -> Response:
         return Response(self._job(request).text(), media_type='text/plain; charset=utf-8')
@@ -201,6 +202,11 @@ class App:
         answer = responses.FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
         return answer
+
+
+def _json(content: Any, status: int = 200) -> Response:
+    """An answer in ASCII: a file's name that is no UTF-8 goes to the page and back unchanged."""
+    return Response(json.dumps(content, allow_nan=False), status, media_type='application/json')
 
 
 def _why(error: OSError) -> str:

@@ -21,6 +21,7 @@ from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import escaped
 from quad_sysid.record import Record
 
 IMU_TOPIC = '/imu/data'
@@ -122,8 +123,9 @@ def read_bag(path: str | Path) -> Record:
     gains = events.gains_from(gain_events, seconds)
     motion = moving(content.streams, grid, angles, acceleration, warnings)
     accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
-    return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
-                  angles=_optional(angles), acceleration=_optional(acceleration),
+    return Record(source=escaped(source), dt=grid.dt, rates=_frozen(rates),
+                  control=_frozen(control), angles=_optional(angles),
+                  acceleration=_optional(acceleration),
                   motors=_optional(motors), wrench=_optional(wrench),
                   speeds=_optional(_speeds(content, grid, craft, warnings)), craft=craft,
                   desaturation=desaturation,
