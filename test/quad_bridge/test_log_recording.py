@@ -22,7 +22,7 @@ from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags.storage import Storage
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
-TOPIC = '/setpoint/rates'
+TOPIC, LATCHED = '/setpoint/rates', '/robot_description'
 
 
 @pytest.fixture
@@ -127,9 +127,15 @@ def test_a_write_that_fails_costs_only_what_no_later_one_can_store(
     assert numbers_in(recover(bag).path if kept < 200 else bag) == list(range(kept))
 
 
-def split(bag, limits, *, back_s=0):
-    """A bag of 450 messages in 0.45 s, whose clock is set back after the first 50."""
+def split(bag, limits, *, back_s=0, described=0):
+    """A bag of 450 messages in 0.45 s, whose clock is set back after the first 50.
+
+    Before them stands a description of so many bytes, if any.
+    """
     writer = BagWriter(bag, limits)
+    if described:
+        writer.add_topic(LATCHED, 'std_msgs/msg/String')
+        writer.write(LATCHED, 10**18, bytes(described))
     writer.add_topic(TOPIC, VECTOR)
     for k in range(450):
         writer.write(TOPIC, 10**18 + k * 10**6 - (k >= 50) * back_s * 10**9, numbered(k))
@@ -159,6 +165,32 @@ def test_a_bag_is_split_by_time_and_by_size_into_files_that_are_whole(bag, limit
     assert len(parts) == files
     assert sorted(numbers_in(bag)) == list(range(450))
     assert sorted(k for part in parts for k in numbers_in(part)) == list(range(450))
+
+
+def test_what_a_new_file_repeats_is_in_order_whole_and_counted_apart(bag):
+    writer = split(bag, BY_TIME, described=1000)
+    writer.close()
+    assert writer.counts == {LATCHED: 1, TOPIC: 450}
+    firsts = []
+    for part in sorted(bag.glob('*.mcap')):
+        with AnyReader([part]) as reader:
+            messages = [(c.topic, time_ns) for c, time_ns, _ in reader.messages()]
+            assert reader.message_count == len(messages)
+        assert [topic for topic, _ in messages].count(LATCHED) == 1
+        assert messages[0] == (LATCHED, messages[1][1])
+        firsts.append(messages[0][1] - 10**18)
+    assert firsts == [k * 10**8 for k in range(5)]
+    result = recover(bag)
+    assert (result.sound, result.counts) == (True, {LATCHED: 5, TOPIC: 450})
+    killed = split(bag.with_name('killed'), BY_TIME, described=1000)
+    killed.abort()
+    assert killed.counts == {LATCHED: 1, TOPIC: 450}
+    assert recover(killed.path).counts == {LATCHED: 5, TOPIC: 450}
+
+
+def test_a_description_larger_than_a_file_does_not_split_at_every_flush(bag):
+    split(bag, Limits(10_000), described=20_000).close()
+    assert len(list(bag.glob('*.mcap'))) == 5
 
 
 def test_of_a_split_bag_all_files_are_recovered_and_a_missing_one_is_told(bag):

@@ -26,10 +26,11 @@ from flown_craft import DT, Airframe, X, fly
 from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
-from quad_sysid.app.folder import RefusedError, new_file, receive
+from quad_sysid.app.folder import RefusedError, entries, new_file, receive
 from quad_sysid.app.jobs import KEPT, Job, Queue, expected
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE
+from quad_sysid.files import UNFINISHED
 from quad_sysid.loop.cascade import CascadeGains, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
@@ -166,6 +167,62 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
         (server.folder / name).unlink()
 
 
+def test_what_cannot_be_read_is_neither_opened_nor_hides_the_rest(tmp_path, monkeypatch):
+    for name in ('flight.csv', 'gone.csv'):
+        (tmp_path / name).write_text('t\n')
+    for name in ('pipe', 'pipe.csv', 'pipe.json'):
+        os.mkfifo(tmp_path / name)
+    (tmp_path / 'lost+found').mkdir()
+    stat = Path.stat
+
+    def watched(path, **options):  # the tests may run as root, who may open any folder
+        if path.parent.name == 'lost+found':
+            raise PermissionError(13, 'Permission denied')
+        if path.name == 'gone.csv':
+            raise FileNotFoundError(2, 'No such file or directory')
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, 'stat', watched)
+    found = []
+    thread = threading.Thread(target=lambda: found.extend(entries(tmp_path)), daemon=True)
+    thread.start()
+    thread.join(2.0)
+    assert [entry.path for entry in found] == ['flight.csv']
+    with pytest.raises(RefusedError, match='no such file'):
+        commands(tmp_path, {'kind': 'import', 'files': ['pipe.csv']})
+
+
+def test_a_name_that_is_no_utf_8_is_listed_and_can_be_chosen(server):
+    name = os.fsdecode(b'vol_\xe9.csv')
+    (server.folder / name).write_text('t\n')
+    status, text = server.ask('/files')
+    assert (status, name in [entry['path'] for entry in json.loads(text)]) == (200, True)
+    status, text = server.job(kind='look', files=[name])
+    job = json.loads(text)
+    assert (status, job['title']) == (200, r'look at vol_\udce9.csv')
+    assert server.ask(f'/jobs/{job["number"]}/stop', b'')[0] == 200
+    assert server.ask('/jobs')[0] == 200
+    (server.folder / name).unlink()
+
+
+def test_an_upload_is_listed_when_it_is_whole_and_none_is_left_cut_off(server):
+    before = {path.name for path in server.folder.iterdir()}
+    host, port = server.base.removeprefix('http://').split(':')
+    with socket.create_connection((host, int(port)), PATIENCE_S) as line:
+        line.sendall(f'POST /upload?name=slow.csv HTTP/1.1\r\nHost: {host}:{port}\r\nCookie: '
+                     f'quad_sysid_token={server.token}\r\nContent-Length: 99\r\n\r\nt,a\n'
+                     .encode())
+        end = time.monotonic() + PATIENCE_S
+        while not (new := {path.name for path in server.folder.iterdir()} - before):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert all(name.startswith(UNFINISHED) for name in new)
+        assert 'slow.csv' not in server.ask('/files')[1]
+    while {path.name for path in server.folder.iterdir()} != before:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
     part = bytes(4_000_000)
 
@@ -220,7 +277,7 @@ def test_logs_that_are_to_be_identified_are_made_bags_with_names_of_their_own(tm
     assert len({*bags}) == 2
     (again,) = commands(tmp_path, {'kind': 'import', 'files': ['a.ulg']}, {*bags})
     assert again[2][-1] not in bags
-    for asked, words in (({'kind': 'inspect', 'files': ['a.ulg', 'a.bin']}, 'choose one'),
+    for asked, words in (({'kind': 'inspect', 'files': ['a.ulg', 'a.bin']}, 'choose a single'),
                          ({'kind': 'identify', 'files': ['a.csv']}, 'Columns'),
                          ({'kind': 'import', 'files': ['a.csv']}, 'a.csv is a table.*Columns')):
         with pytest.raises(RefusedError, match=words):

@@ -9,13 +9,16 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
+from rosbags.rosbag2 import Reader
 from scipy.spatial.transform import Rotation
 
+from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags import BagOptions, read_bag, split_segments, write_bag, write_streams
 from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import Event
 from quad_sysid.bags.stamps import uniform_grid
 from quad_sysid.contract import TOPIC_TYPES, control_from_motors, motors_from_wrench
+from quad_sysid.craft import LAYOUTS
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import GainChange, Record, Segment
 
@@ -341,3 +344,31 @@ def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_pa
     file.unlink()
     assert (got := read_bag(second)).n == N
     assert 'metadata.yaml is missing' in got.warnings[0]
+
+
+def test_each_file_of_a_split_bag_holds_what_is_in_force(tmp_path):
+    whole = write_bag(replace(make_record(), craft=LAYOUTS['plus']), tmp_path / 'whole')
+    split = BagWriter(tmp_path / 'split', Limits(split_s=1.5))
+    with Reader(whole) as reader:
+        for c, time_ns, raw in reader.messages():
+            split.add_topic(c.topic, c.msgtype)
+            split.write(c.topic, time_ns, raw)
+        assert split.counts == {c.topic: c.msgcount for c in reader.connections}
+    split.close()
+    one, all_parts = read_bag(whole), read_bag(split.path)
+    assert one.craft.motors == LAYOUTS['plus'].motors
+    assert (all_parts.segments, all_parts.gains, all_parts.craft) == (
+        one.segments, one.gains, one.craft)
+    starts_s = (0.0, 1.5, 3.0)
+    for part, start_s in enumerate(starts_s):
+        alone = read_bag(split.path / f'split_{part}.mcap')
+        assert alone.craft == one.craft
+        assert alone.gains_at(0.0) == one.gains_at(start_s)
+        running = next(s for s in one.segments if s.start_s <= start_s < s.end_s)
+        assert (alone.segments[0].role, alone.segments[0].parameters) == (
+            running.role, running.parameters)
+        assert 'split bag' not in ' '.join(alone.warnings)
+    bare = write_imu(tmp_path / 'bare', regular())  # as other recorders split
+    for name, is_told in (('flight_1', True), ('flight_0', False), ('flight_20250101', False)):
+        file = shutil.copy(bare / 'bare.mcap', tmp_path / f'{name}.mcap')
+        assert ('split bag' in ' '.join(read_bag(file).warnings)) == is_told

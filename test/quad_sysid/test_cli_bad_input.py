@@ -1,6 +1,8 @@
 """Bad input through the commands: one line on stderr that names it, and the contract's status."""
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 import quad_sysid.report
 from quad_sysid.bags import read_bag, split_segments, write_bag
 from quad_sysid.cli import main
+from quad_sysid.errors import BadInputError
 from quad_sysid.report import document
 from quad_sysid.report.model_file import save_models
 
@@ -35,6 +38,30 @@ def test_wrong_options_of_identify(plain_bag, refused, tmp_path, arguments, word
     given = 'identify', plain_bag, '--out', tmp_path / 'out', *arguments.split()
     assert words in refused(main, *given)
     assert not (tmp_path / 'out').exists()
+
+
+@pytest.fixture
+def strange_bag(plain_bag, tmp_path, monkeypatch):
+    """A bag whose name is no UTF-8, and how that is shown."""
+    monkeypatch.chdir(tmp_path)
+    name = os.fsdecode(b'vol_\xe9.mcap')
+    shutil.copy(next(plain_bag.glob('*.mcap')), name)
+    return name, r'vol_\udce9.mcap'
+
+
+def test_a_name_that_is_no_utf_8_is_escaped_on_a_page(strange_bag, tmp_path, printed):
+    name, shown = strange_bag
+    assert shown in printed(main, 'look', name, name)
+    assert shown in (tmp_path / 'several_look.html').read_text()
+
+
+def test_a_name_that_is_no_utf_8_is_escaped_in_a_report(strange_bag, tmp_path, refused):
+    name, shown = strange_bag
+    assert shown in refused(main, 'identify', name, '--axis', 'pitch', '--out', 'result', status=3)
+    assert json.loads((tmp_path / 'result' / 'report.json').read_text())['bags'] == [shown]
+    assert shown in (tmp_path / 'result' / 'report.html').read_text()
+    with pytest.raises(BadInputError, match='is no UTF-8, as the name of a bag must be'):
+        write_bag(read_bag(name), os.fsdecode(b'bag_\xe9'))
 
 
 def test_a_place_that_cannot_be_written_is_said_before_the_work(

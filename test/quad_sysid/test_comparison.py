@@ -32,6 +32,15 @@ def test_a_difference_counts_by_its_error_and_by_how_many_are_looked_at():
     assert (found['drag'].reference, found['drag'].p_value) == (None, None)
 
 
+def test_where_one_flight_alone_has_an_effect_it_is_not_said_that_nothing_changed():
+    before, equal = flight('a', gain=1.0), flight('b', gain=1.0)
+    other = flight('c', gain=1.0, **{'quadratic_drag.coefficient': 1.0})
+    assert '  nothing changed, at' in str(compare(before, [equal]))
+    said = str(compare(before, [other]))
+    assert '  nothing that both have changed, at' in said
+    assert 'in one of the two only, not compared: roll quadratic_drag.coefficient' in said
+
+
 def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_answer):
     """As the base of the other flight does, in which no effects were looked for."""
     model = rubbed_answer.model

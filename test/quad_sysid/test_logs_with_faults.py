@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from autopilot_logs import quaternions
+from autopilot_logs import dataflash, quaternions
 from flown_craft import DT, Airframe, X, fly
 
 from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.foresight import drawn_hz
+from quad_sysid.imports.dataflash import read_binary
 from quad_sysid.imports.table import open_table
 
 LOGS = Path(__file__).resolve().parents[2] / '../shared/data/logs'
@@ -192,6 +193,29 @@ def test_what_is_no_table_is_called_by_its_name(tmp_path, refusal, first, words)
     file = tmp_path / 'log.csv'
     file.write_bytes(first + b'\n1,2,3\n' * 50)
     assert words in refusal(open_table, file)
+
+
+@pytest.mark.parametrize('day', ['2026-02-30', '2026-13-14', '31/02/2026'])
+def test_a_day_that_there_is_not_is_a_gap(tmp_path, day):
+    days = ['2026-02-10'] * 60
+    days[5] = day
+    file = tmp_path / 'log.csv'
+    file.write_text('time,p\n' + ''.join(f'{d} 00:00:{k:02d},0.1\n' for k, d in enumerate(days)))
+    times = open_table(file).columns['time']
+    assert np.flatnonzero(np.isnan(times)).tolist() == [5]
+    assert np.diff(times[6:]).tolist() == [1.0] * 53
+
+
+@pytest.mark.parametrize('field', [b'Name', b'Value'])
+def test_a_damaged_description_of_parameters_costs_the_parameters_alone(tmp_path, field):
+    rows = np.column_stack([np.arange(1, 9), np.full(8, 12.0)])
+    file = dataflash(tmp_path / 'log.bin', {'BAT': (('TimeUS', 'Volt'), rows)}, {'FRAME_TYPE': 1})
+    raw = file.read_bytes()
+    assert read_binary(np.frombuffer(raw, np.uint8), ['BAT']).parameters == {'FRAME_TYPE': 1.0}
+    labels = b'TimeUS,Name,Value'
+    damaged = raw.replace(labels, labels.replace(field, b'#' + field[1:]))
+    log = read_binary(np.frombuffer(damaged, np.uint8), ['BAT'])
+    assert (log.parameters, log.columns['BAT.Volt'].tolist()) == ({}, [12.0] * 8)
 
 
 @dataclass(frozen=True)

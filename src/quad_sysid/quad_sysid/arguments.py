@@ -6,10 +6,12 @@ The commands are in cli.py and in the cli.py of their packages.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -181,6 +183,10 @@ def progress(*, quiet: bool = False) -> Callable[[str], None]:
 def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     """Run the command; returns its exit status."""
     offer_completion(parser)
+    for stream in (sys.stdout, sys.stderr):  # a file's name may hold any byte
+        with suppress(OSError):  # a pipe that took the place of a file: it asks where that stood
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(errors='backslashreplace')
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         options.parser.error(f'unrecognized arguments: {" ".join(unknown)}')

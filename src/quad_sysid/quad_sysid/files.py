@@ -21,6 +21,11 @@ REPORT = 'quad_sysid/report/'
 """How the schema of report.json begins (contract)."""
 
 
+def escaped(text: str) -> str:
+    r"""Text that any file or page can hold: a byte of a file name that is no UTF-8 as \udce9."""
+    return text.encode(errors='backslashreplace').decode()
+
+
 def read_json(path: str | os.PathLike[str], remedy: str = '') -> Any:
     """Content of a JSON file; BadInputError, with `remedy` if it cannot be opened."""
     try:
@@ -103,7 +108,7 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     target = Path(path)
     try:
         with unfinished(target.parent) as folder, (folder / target.name).open('wb') as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
+            stream.write(escaped(content).encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
             (folder / target.name).replace(target)

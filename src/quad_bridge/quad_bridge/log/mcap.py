@@ -78,6 +78,8 @@ class FileEntry:
     last_ns: int = 0
     size: int = 0
     """Bytes, once the file is closed."""
+    repeated: dict[str, int] = field(default_factory=dict)
+    """How many of the first messages repeat those of earlier files, by topic."""
 
     @property
     def messages(self) -> int:

@@ -7,6 +7,7 @@ writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,11 +23,14 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.disk import MB, free_bytes, reserved, sync_folder
 from quad_bridge.log.mcap import FileEntry, McapFile, RecordedTopic
+from quad_bridge.topics import LATCHED
 
 MAX_NAMESAKES = 1000
 """Most bags of one second."""
 CLOSING_RESERVE = 4 * MB
 """Space for index and metadata of some hours when the disk is full."""
+GAINS = '/gains/active'
+"""The latched topic whose messages may add to each other: one need not name every gain."""
 
 
 class PathExistsError(BadInputError):
@@ -69,13 +73,17 @@ class BagWriter:
         """Create the bag's directory and first file. Raises BadInputError where that fails."""
         self.path = path
         self.counts: dict[str, int] = {}
-        """Messages written, by topic."""
+        """Messages written, by topic; without those that a new file repeats."""
         self._limits = limits or Limits()
         self._topics: dict[str, RecordedTopic] = {}
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._closed: list[FileEntry] = []
         self._began_ns = 0
         self._split_due = False
+        self._latched: dict[tuple[str, str], bytes] = {}
+        """By topic and gain the message that holds, in their order: a new file repeats them, so
+        that it can be read without the others."""
+        self._repeated_bytes = 0
         created = False
         try:
             _check_space(path, self._limits.reserve_bytes)
@@ -137,17 +145,20 @@ class BagWriter:
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one serialised message with its receive time, ns."""
         if self._split_due or self._over_time(time_ns):
-            self._split()
+            self._split(time_ns)
         self._began_ns = self._began_ns or time_ns
         self._file.write(topic, time_ns, data)
         self.counts[topic] += 1
+        if topic in LATCHED and (self._limits.split_bytes or self._limits.split_s):
+            self._remember(topic, bytes(data))
 
     def flush(self) -> None:
         """Bring everything written so far to the disk. Raises OSError."""
         if not self._file.path.exists():
             raise FileNotFoundError(f'{self._file.path.name} was removed or renamed')
         self._file.sync()
-        self._split_due = 0 < self._limits.split_bytes <= self._file.size
+        own = self._file.size - self._repeated_bytes  # or a large description would split for ever
+        self._split_due = 0 < self._limits.split_bytes <= own
 
     def close(self) -> None:
         """Write the index and metadata.yaml."""
@@ -188,7 +199,10 @@ class BagWriter:
         """Count the stored messages, without the open chunk."""
         entries = {id(entry): entry for entry in (*self._closed, self._file.entry)}.values()
         for topic in self.counts:
-            self.counts[topic] = sum(entry.counts.get(topic, 0) for entry in entries)
+            self.counts[topic] = sum(
+                max(0, entry.counts.get(topic, 0) - entry.repeated.get(topic, 0))
+                for entry in entries
+            )
 
     @property
     def _file_closed(self) -> bool:
@@ -200,12 +214,35 @@ class BagWriter:
         self._began_ns = min(self._began_ns, time_ns)  # the clock was set back
         return bool(limit and self._began_ns and time_ns - self._began_ns >= limit * 1e9)
 
-    def _split(self) -> None:
+    def _split(self, time_ns: int) -> None:
+        """Go on in a new file, which begins with what holds, as if it came with its first message.
+
+        Received when it was, it would overlap with the files before; its stamp is unchanged.
+        """
         self._close_file()
         self._file = self._open_file()
         self._began_ns, self._split_due = 0, False
         for topic in self._topics.values():
             self._file.add_topic(topic)
+        holding = list(dict.fromkeys((key[0], data) for key, data in self._latched.items()))
+        self._repeated_bytes = sum(len(data) for _, data in holding)
+        self._file.entry.repeated = Counter(topic for topic, _ in holding)
+        for key, data in holding:
+            self._file.write(key, time_ns, data)
+
+    def _remember(self, topic: str, data: bytes) -> None:
+        """Keep a latched message for as long as it holds."""
+        for name in self._gains(data) if topic == GAINS else ['']:
+            self._latched.pop((topic, name), None)  # to the end, so that the latest comes last
+            self._latched[topic, name] = data
+
+    def _gains(self, data: bytes) -> list[str]:
+        """The gains that a message names; none of a damaged one."""
+        try:
+            event: Any = self._store.deserialize_cdr(data, self._topics[GAINS].kind)
+            return [parameter.name for parameter in event.changed_parameters]
+        except Exception:  # noqa: BLE001  (whatever nonsense makes the decoder raise)
+            return []
 
     def _open_file(self) -> McapFile:
         file = McapFile(self.path / f'{self.path.name}_{len(self._closed)}.mcap')

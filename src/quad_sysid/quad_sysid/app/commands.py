@@ -81,7 +81,8 @@ def _import(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Co
 
 
 def _to_bag(free: Free, log: Path, columns: Sequence[str] = ()) -> Command:
-    bag = free(f"{log.name.partition('.')[0] or 'log'}_bag")
+    stem = log.name.partition('.')[0] or 'log'
+    bag = free(f"{stem.encode(errors='replace').decode()}_bag")  # a bag's name must be UTF-8
     return f'import {log.name}', SYSID, ['import', str(log), *columns, '--out', bag]
 
 

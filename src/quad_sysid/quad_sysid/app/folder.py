@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import AsyncIterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,6 +49,8 @@ def inside(folder: Path, name: str) -> Path:
         raise RefusedError('no such file') from error
     if path == root or not path.is_relative_to(root):
         raise RefusedError('that file is not in the folder of the app')
+    if not (path.is_file() or path.is_dir()):  # a named pipe, which would never answer
+        raise RefusedError('no such file')
     return path
 
 
@@ -79,33 +82,48 @@ def entries(folder: Path) -> list[Entry]:
         for path in content:
             if path.name.startswith(('.', UNFINISHED)) or path.is_symlink():
                 continue
-            relative = path.relative_to(root).as_posix()
-            if path.is_dir():
-                if is_bag(path):
-                    size = sum(f.stat().st_size for f in path.iterdir() if f.is_file())
-                    listed.append(Entry(relative, 'bag', size / 1e6))
-                elif depth < 3:
-                    waiting.append((path, depth + 1))
-            elif is_model(path):
-                listed.append(Entry(relative, 'model', path.stat().st_size / 1e6))
-            elif (path.suffix.lower() in SUFFIXES and path.suffix != '.json'
-                  and RESULTS not in path.relative_to(root).parts):
-                kind = 'bag' if is_bag(path) else 'log'
-                listed.append(Entry(relative, kind, path.stat().st_size / 1e6))
+            with suppress(OSError):  # it has vanished, or may not be opened, such as lost+found
+                if path.is_dir() and not is_bag(path):
+                    waiting += [(path, depth + 1)] * (depth < 3)
+                else:
+                    listed += _entry(path, root)
     return sorted(listed, key=lambda e: e.path)
 
 
-def new_file(folder: Path, name: str) -> Path:
-    """An empty file for an upload, under a safe name that was free.
+def _entry(path: Path, root: Path) -> list[Entry]:
+    """The entry of a bag or file; none of what cannot be chosen, which is not opened.
 
-    Raises RefusedError for a name of no known kind.
+    A named pipe would never answer. Raises OSError.
     """
+    relative = path.relative_to(root)
+    if path.is_dir():
+        files = [f.stat().st_size for f in path.iterdir() if f.is_file()]
+        return [Entry(relative.as_posix(), 'bag', sum(files) / 1e6)]
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return []
+    if path.suffix == '.json':
+        kind = 'model' if is_model(path) else ''
+    elif RESULTS in relative.parts:
+        kind = ''
+    else:
+        kind = 'bag' if is_bag(path) else 'log'
+    return [Entry(relative.as_posix(), kind, path.stat().st_size / 1e6)] if kind else []
+
+
+def safe_name(name: str) -> str:
+    """The name for an upload. Raises RefusedError where it is of no known kind."""
     plain = ALLOWED.sub('_', re.split(r'[/\\]', name)[-1]).strip(' .')
     plain = plain.encode()[-LONGEST_NAME:].decode(errors='ignore').lstrip()
     if plain == 'metadata.yaml':
         raise RefusedError('of a bag drop its .mcap files alone: they hold all that is needed')
     if not plain.lower().endswith(SUFFIXES):
         raise RefusedError(f'no log by its name: known endings are {", ".join(SUFFIXES)}')
+    return plain
+
+
+def new_file(folder: Path, name: str) -> Path:
+    """An empty file of a safe name, with a number where that is taken. Raises RefusedError."""
+    plain = safe_name(name)
     stem, dot, ending = plain.partition('.')
     number = 1
     while True:

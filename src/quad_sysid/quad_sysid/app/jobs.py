@@ -23,6 +23,7 @@ from pathlib import Path
 
 from quad_sysid.arguments import NOT_ANSWERED
 from quad_sysid.axes import ALL_WORDS
+from quad_sysid.files import escaped
 
 MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
@@ -130,7 +131,7 @@ class Queue:
             folder.mkdir(parents=True)
             placed = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
                            for a in arguments)
-            job = Job(number, title, program, placed, folder, after=after)
+            job = Job(number, escaped(title), program, placed, folder, after=after)
             self._jobs[number] = job
             job.keep()
             for old in [j for j in self._jobs.values() if j.ended][:-MOST_JOBS]:

@@ -24,8 +24,17 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from quad_sysid.app.commands import commands
-from quad_sysid.app.folder import RESULTS, RefusedError, entries, new_file, receive, too_large
+from quad_sysid.app.folder import (
+    RESULTS,
+    RefusedError,
+    entries,
+    new_file,
+    receive,
+    safe_name,
+    too_large,
+)
 from quad_sysid.app.jobs import Job, Queue
+from quad_sysid.files import escaped, unfinished
 from quad_sysid.report.style import SHEET
 
 COOKIE = 'quad_sysid_token'
@@ -85,12 +94,10 @@ class App:
             try:
                 return _sealed(await handler(request))
             except RefusedError as error:
-                return _sealed(responses.JSONResponse({'error': str(error)}, 400))
+                return _sealed(_json({'error': str(error)}, 400))
             except OSError as error:
                 where = Path(error.filename or self.folder).name
-                return _sealed(responses.JSONResponse({
-                    'error': f'{where}: {error.strerror}; check the permissions of the folder, '
-                    'and the disk'}, 400))
+                return _sealed(_json({'error': f'{where}: {_why(error)}'}, 400))
             except ClientDisconnect:
                 return Response(status_code=499)
 
@@ -116,7 +123,8 @@ class App:
     async def _home(self, _: Request) -> Response:
         page = (HERE / 'app.html').read_text(encoding='utf-8')
         page = page.replace('MOST_BYTES', str(self.most_bytes))
-        return responses.HTMLResponse(page.replace('FOLDER', escape(self.folder.resolve().name)))
+        name = escaped(self.folder.resolve().name)
+        return responses.HTMLResponse(page.replace('FOLDER', escape(name)))
 
     async def _script(self, _: Request) -> Response:
         return responses.FileResponse(HERE / 'app.js', media_type='text/javascript')
@@ -126,7 +134,7 @@ class App:
         return Response(SHEET + styles, media_type='text/css')
 
     async def _files(self, _: Request) -> Response:
-        return responses.JSONResponse([asdict(entry) for entry in entries(self.folder)])
+        return _json([asdict(entry) for entry in entries(self.folder)])
 
     async def _upload(self, request: Request) -> Response:
         name = request.query_params.get('name', '')
@@ -134,18 +142,22 @@ class App:
             path = await self._received(name, request)
         except RefusedError as error:
             raise RefusedError(f'{name[-60:]}: {error}') from error
-        return responses.JSONResponse({'path': path.name})
+        except OSError as error:
+            raise RefusedError(f'{name[-60:]}: {_why(error)}') from error
+        return _json({'path': path.name})
 
     async def _received(self, name: str, request: Request) -> Path:
         length = request.headers.get('content-length', '')
         if length.isdigit() and int(length) > self.most_bytes:
             raise RefusedError(too_large(self.most_bytes))
-        target = new_file(self.folder, name)
-        await receive(target, request.stream(), self.most_bytes)
-        return target
+        safe_name(name)
+        with unfinished(self.folder) as aside:  # not listed, nor cut off where the app is killed
+            arrived = new_file(aside, name)
+            await receive(arrived, request.stream(), self.most_bytes)
+            return arrived.replace(new_file(self.folder, arrived.name))
 
     async def _jobs(self, _: Request) -> Response:
-        return responses.JSONResponse([_shown(job) for job in self.queue.all()])
+        return _json([_shown(job) for job in self.queue.all()])
 
     async def _start(self, request: Request) -> Response:
         raw = b''
@@ -162,7 +174,7 @@ class App:
         *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
             made = [self.queue.add(*one) for one in before]
-            return responses.JSONResponse(_shown(self.queue.add(*last, after=made)))
+            return _json(_shown(self.queue.add(*last, after=made)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 
@@ -177,7 +189,7 @@ class App:
 
         job = self._job(request)
         await run_in_threadpool(self.queue.stop, job)
-        return responses.JSONResponse(_shown(job))
+        return _json(_shown(job))
 
     async def _text(self, request: Request) -> Response:
         return Response(self._job(request).text(), media_type='text/plain; charset=utf-8')
@@ -190,6 +202,15 @@ class App:
         answer = responses.FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
         return answer
+
+
+def _json(content: Any, status: int = 200) -> Response:
+    """An answer in ASCII: a file's name that is no UTF-8 goes to the page and back unchanged."""
+    return Response(json.dumps(content, allow_nan=False), status, media_type='application/json')
+
+
+def _why(error: OSError) -> str:
+    return f'{error.strerror}; check the permissions of the folder, and the disk'
 
 
 def _shown(job: Job) -> dict[str, Any]:

@@ -6,6 +6,7 @@ on the grid. No fitting, no filtering.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
 from quad_sysid.errors import BadInputError
+from quad_sysid.files import escaped
 from quad_sysid.record import Record
 
 IMU_TOPIC = '/imu/data'
@@ -44,6 +46,8 @@ BATTERY_GAP_S = 2.0
 """Longest gap, s, over which the voltage is interpolated."""
 LOST_WARNING = 0.01
 """Share of the cycles without a value above which a warning says so."""
+LATER_PART = re.compile(r'_[1-9][0-9]{0,3}(\.[a-z0-9]+)+$')
+"""How the name ends of a file of a split bag that is not its first."""
 SPEED_GAP = 5.0
 """Rotor speeds that are further apart than this many of their usual intervals are not joined."""
 
@@ -119,8 +123,9 @@ def read_bag(path: str | Path) -> Record:
     gains = events.gains_from(gain_events, seconds)
     motion = moving(content.streams, grid, angles, acceleration, warnings)
     accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
-    return Record(source=source, dt=grid.dt, rates=_frozen(rates), control=_frozen(control),
-                  angles=_optional(angles), acceleration=_optional(acceleration),
+    return Record(source=escaped(source), dt=grid.dt, rates=_frozen(rates),
+                  control=_frozen(control), angles=_optional(angles),
+                  acceleration=_optional(acceleration),
                   motors=_optional(motors), wrench=_optional(wrench),
                   speeds=_optional(_speeds(content, grid, craft, warnings)), craft=craft,
                   desaturation=desaturation,
@@ -170,6 +175,9 @@ def _read(path: Path) -> _Content:
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
     """The craft that the bag describes; the contract's X frame where it does not."""
     if not content.description:
+        if LATER_PART.search(source) and Path(source).is_file():
+            warnings.append(f'is one file of a split bag by its name, and has no {DESCRIPTION}: '
+                            "the contract's X frame holds; read the whole bag")
         return X
     try:
         craft = from_urdf(content.description)

@@ -23,7 +23,7 @@ from quad_sysid.bags.orientation import UNMEASURED, quaternions
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import X
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import unfinished
+from quad_sysid.files import escaped, unfinished
 from quad_sysid.record import Record, Segment
 
 Storage = Literal['mcap', 'sqlite3']
@@ -98,6 +98,9 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     options = options or BagOptions()
     if path.exists():
         raise BadInputError(str(path), 'exists already and is not overwritten',
+                            remedy='choose another --out')
+    if escaped(path.name) != path.name:
+        raise BadInputError(escaped(str(path)), 'is no UTF-8, as the name of a bag must be',
                             remedy='choose another --out')
     topics = [*streams, *events, *(['/robot_description'] if description else [])]
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from quad_sysid import interrupt
 from quad_sysid.contract import STORAGE
 from quad_sysid.errors import BadInputError, QuadSysidError
+from quad_sysid.files import escaped
 from quad_sysid.fleets.place import Place
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class Job:
     """One bag to identify; small, as it is sent to a process, unless it is a record itself."""
 
     name: str
-    """Path below the fleet's folder, which names it in the table."""
+    """Path below the fleet's folder, which names it in the table; there a byte that is no UTF-8 is
+    escaped."""
     aircraft: str = ''
     """First folder below the fleet's, empty where the bag lies in it directly."""
     folder: str = ''
@@ -90,8 +92,8 @@ class Job:
     @property
     def place(self) -> str:
         """Path of the bag below the folder; empty where the folder is the bag."""
-        first = self.files[0][0]
-        return self.name if first == self.name or first.startswith(f'{self.name}/') else ''
+        parts = self.files[0][0].split('/')[:self.name.count('/') + 1]
+        return '/'.join(parts) if escaped('/'.join(parts)) == self.name else ''
 
     @property
     def size(self) -> int:
@@ -170,9 +172,9 @@ def _is_log(name: str) -> bool:
 def _job(place: Place, results: Place, bag: str, names: tuple[str, ...],
          files_below: Mapping[str, tuple[int, str]], fields: Mapping[str, Any]) -> Job:
     about = [(PurePosixPath(name).name, *files_below[name]) for name in names]
-    parts = PurePosixPath(bag).parts
+    parts = PurePosixPath(escaped(bag)).parts
     return Job(
-        name=bag if parts else PurePosixPath(place.address).name,
+        name=escaped(bag if parts else PurePosixPath(place.address).name),
         aircraft=parts[0] if len(parts) > 1 else '', folder=place.address,
         files=tuple((name, files_below[name][0]) for name in names),
         stamp=hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest(),
@@ -183,7 +185,8 @@ def content_of(job: Job) -> str:
     """Hash that identifies a bag wherever it is: names and sizes of its files, and their ends."""
     place, digest = Place(job.folder), hashlib.blake2b(digest_size=16)
     for name, size in job.files:
-        digest.update(f'{PurePosixPath(name).name} {size} '.encode() + place.ends(name, size))
+        own = escaped(PurePosixPath(name).name)
+        digest.update(f'{own} {size} '.encode() + place.ends(name, size))
     return digest.hexdigest()
 
 
@@ -210,6 +213,7 @@ def look(job: Job) -> Row:
         row['reason'] = str(error)
     except Exception as error:  # noqa: BLE001  one bad bag never stops the run
         row['reason'] = f'{type(error).__name__}: {error}'
+    row['reason'] = escaped(row['reason'])
     row['seconds'] = round(time.monotonic() - start, 3)
     row['cpu_s'] = round(time.process_time() - cpu, 3)
     row['peak_mb'] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1)

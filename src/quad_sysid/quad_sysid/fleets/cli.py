@@ -13,7 +13,7 @@ from pathlib import Path
 from quad_sysid import arguments
 from quad_sysid.arguments import Commands
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import check_place, make_folder
+from quad_sysid.files import check_place, escaped, make_folder
 from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, jobs
 from quad_sysid.fleets.place import Place
 
@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     from quad_sysid.session import keywords
 
     name = options.folder.rstrip('/').rpartition('/')[2] if '://' in options.folder else (
-        Path(options.folder).resolve().name)
+        escaped(Path(options.folder).resolve().name))
     out = Place(options.out or f'{name}_fleet')
     if options.workers < 1:
         raise BadInputError('--workers', 'must be at least 1', options.workers)
@@ -117,7 +117,7 @@ def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
     def log(line: str) -> None:
         stamp = datetime.now(timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
         with path.open('a', encoding='utf-8') as stream:
-            stream.write(f'{stamp} {part}{line}\n')
+            stream.write(escaped(f'{stamp} {part}{line}\n'))
         if shown and not line.startswith('bag ') and not (options.quiet or options.json):
             print(line)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft
+from quad_sysid.files import escaped
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.mixers import Mixer
 from quad_sysid.record import GainChange
@@ -139,6 +140,10 @@ class ForeignLog:
     """Settings of the firmware with which the next flight is logged fast enough."""
     clock: tuple[str, ...] = ()
     """Repairs so far, and parts that could not be read, in words."""
+
+    def __post_init__(self) -> None:
+        """Make the name one that every page and picture can show."""
+        object.__setattr__(self, 'source', escaped(self.source))
 
 
 @dataclass(frozen=True)
