@@ -164,6 +164,19 @@ def test_gains_that_fly_badly_go_back_within_the_watch(flying):
     assert abs(line.controller.angles[0]) < 0.6
 
 
+@pytest.mark.parametrize('landed', [2, 4])
+def test_the_first_gains_after_the_connection_are_watched_also_while_it_lands(flying, landed):
+    line, p = flying('px4'), P['px4']
+    before, flight = line.controller.parameters[p], line.aircraft.flight
+    take = flight.take
+    flight.take = lambda frame, now_s: take(
+        f.LandedState(landed) if isinstance(frame, f.LandedState) else frame, now_s)
+    line.ask(roll_rate_kp=9.5 * line.updates.active['roll.rate.kp'], roll_angle_kp=11.9)
+    line.fly(15.0)
+    assert line.updates.rollbacks == 1
+    assert line.controller.parameters[p] == before
+
+
 @both
 @pytest.mark.parametrize('attempts', [2, pytest.param(20, marks=pytest.mark.long)])
 def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name, attempts):

@@ -8,9 +8,11 @@ from autopilots import ALL, ARDUPILOT, BETAFLIGHT, GRAVITY, PX4, Autopilot, mav
 from flight_controller import Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
+from quad_bridge.link.autopilot import Autopilot as TheirTopics
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.link.report import clock_status
 from quad_bridge.motor_outputs import motor_outputs
+from quad_bridge.wire import frames as f
 
 HOST0_NS = 5_000_000_000
 OURS = ['/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied']
@@ -130,6 +132,13 @@ def test_each_topic_has_one_source_the_best_that_comes(without):
     assert (last.accel is None) == (best['/imu/data'] == 'ATTITUDE')
     assert last.gyro[1:] == pytest.approx((-0.25, 0.125))
     stamps_are_true(line)
+
+
+def test_of_several_batteries_the_one_with_the_lowest_number_counts():
+    topics = TheirTopics()
+    numbers = (1, 0, 1, 0)
+    counted = [topics.battery(f.Battery(12.0, number=number), 0) for number in numbers]
+    assert counted == [True, True, False, True]
 
 
 US_WRAPS, MS_WRAPS = 2**32, 1000 * 2**32

@@ -70,6 +70,23 @@ def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
     assert store.whole.endswith(f'log_7_{len(LOG)}.bin')
 
 
+def test_a_full_disk_leaves_no_log_that_looks_whole(tmp_path, monkeypatch):
+    write = Path.open
+
+    def full(path, mode='r', **more):
+        if '+' in mode and path.exists() and path.stat().st_size > 50_000:
+            raise OSError(28, 'No space left on device')
+        return write(path, mode, **more)
+
+    monkeypatch.setattr(Path, 'open', full)
+    store, _ = fetched(Card(), tmp_path)
+    assert 'No space left on device' in store.fault
+    assert (store.whole, [path.suffix for path in tmp_path.iterdir()]) == ('', ['.part'])
+    monkeypatch.undo()
+    store, _ = fetched(Card(), tmp_path)
+    assert Path(store.whole).read_bytes() == LOG
+
+
 def test_of_a_list_in_no_order_the_latest_is_fetched_once_all_are_known():
     """PX4 1.16: numbers from 0, `last` is their count, the order is the directory's."""
     fetch = LogFetch()

@@ -25,13 +25,13 @@ HOVER_S = 2.0  # so long it must have been calm to hover
 # calm: below these the autopilot holds it against a breeze, and no pilot is moving it
 TILT_RAD, TURN_RAD_S = math.radians(12.0), math.radians(45.0)
 CLIMB_M_S, DRIFT_M_S = 0.6, 1.5
-IN_AIR = 2  # MAV_LANDED_STATE_IN_AIR
+ON_GROUND, IN_AIR = 1, 2  # MAV_LANDED_STATE
 THRUST_S = 2.0  # over which the hover throttle is averaged
 REFERENCE_S = 1.0  # after which what the loops follow is not known any more
 STICK = 0.15  # share of its way by which a stick has been moved
 METRES_PER_HPA = 8.43  # of the standard atmosphere at sea level
 BARO_S = 0.5  # time constant of the pressure: its noise is a metre, a climb lasts seconds
-WINDOW = 250  # arrivals over which their rate is counted
+ENOUGH, WINDOW = 100, 250  # arrivals over which their rate is counted
 UNKNOWN_THRUST = 0.5  # where nothing says it: it counts as flying while it is in the air
 
 
@@ -94,9 +94,9 @@ class FlightState:
         self.angles, self.rates, self.attitude_s = frame.attitude, frame.gyro, now_s
         self.cycles += 1
         self._arrivals.append(now_s)
-        if len(self._arrivals) == WINDOW:
+        if len(self._arrivals) >= ENOUGH:
             passed_s = now_s - self._arrivals[0]
-            self.rate_hz = (WINDOW - 1) / passed_s if passed_s > 0.0 else 0.0
+            self.rate_hz = (len(self._arrivals) - 1) / passed_s if passed_s > 0.0 else 0.0
         calm = (
             max(map(abs, self.angles[:2])) < TILT_RAD
             and max(map(abs, self.rates)) < TURN_RAD_S
@@ -162,7 +162,7 @@ class FlightState:
             flags |= f.Flag.ARMED
         if self.failsafe:
             flags |= f.Flag.RC_FAILSAFE
-        flies = self.armed and self.landed in {0, IN_AIR}
+        flies = self.armed and self.landed != ON_GROUND  # also while it takes off or lands
         return f.Cycle(
             frame.time_us, self.cycles % 2**32, frame.gyro, frame.accel or (0.0, 0.0, -9.81),
             frame.attitude, frame.attitude if reference is None else reference,

@@ -86,6 +86,8 @@ class ParameterGains:
         """The current activity; empty where a set may be written."""
         if self.state in AT_REST and not self._recalled:
             return "the aircraft's files are being read"
+        if self.state is State.READY and not self.cycles_hz:  # at which a trial is watched
+            return 'the rate of its attitudes is being measured'
         return '' if self.state in AT_REST else self.state.value
 
     @property

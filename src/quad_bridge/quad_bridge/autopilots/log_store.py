@@ -47,6 +47,8 @@ class LogStore:
         return self._folder / f'{self._name}{suffix}'
 
     def _append(self, path: Path, parts: list[Part]) -> None:
+        if self.fault:
+            return  # what follows a part that is missing: the next fetch goes on from there
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open('r+b' if path.exists() else 'w+b') as file:
@@ -56,6 +58,8 @@ class LogStore:
             self.fault = f'{path}: cannot be written ({error.strerror})'
 
     def _rename(self, part: Path, whole: Path) -> None:
+        if self.fault:
+            return
         try:
             if not whole.exists():
                 part.replace(whole)

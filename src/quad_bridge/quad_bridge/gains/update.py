@@ -196,8 +196,8 @@ class GainUpdates:
         gate.check_source(request.source, self._settings.sources)
         if request.aircraft not in {'', self.aircraft}:
             raise RefusedError(
-                f'these gains are for the aircraft {gate.shorten(request.aircraft)}, and '
-                f'{self.aircraft or "none"} is connected'
+                f'these gains are for the aircraft {gate.shorten(request.aircraft)}: connected is '
+                f'{self.aircraft or "none"}'
             )
         if request.rollback and self.state in ON_TRIAL:
             self._take_back(f'{request.source} asked for it')
@@ -391,6 +391,7 @@ class GainUpdates:
 
     def tick(self, now_s: float) -> None:
         """Continue where a time has come."""
+        self._take_rate()
         watching = self.state is State.WATCHING
         if self.state is State.CHECKING and now_s - self._cycles.arrived_s > QUIET_S:
             self.disturb(f'no control cycle for {QUIET_S:g} s')
@@ -465,8 +466,12 @@ class GainUpdates:
     def _know(self, event: GainEvent) -> None:
         active = event.active or {}
         self._rate_kp = np.maximum([active.get(f'{a}.rate.kp', 1.0) for a in AXES], 1e-3)
-        rate_hz = self.protocol.cycles_hz or active.get('loop.rate_hz', gate.USUAL_HZ)
-        if rate_hz != self.rate_hz:
+        self._take_rate()
+
+    def _take_rate(self) -> None:
+        """Watch at the rate of the cycles; never within an update, unknown to a new one."""
+        rate_hz = self.protocol.cycles_hz or self.active.get('loop.rate_hz', gate.USUAL_HZ)
+        if rate_hz != self.rate_hz and self._update is None:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             history = self.watch.known
             self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))

@@ -219,7 +219,8 @@ class Autopilot:
         """Whether this one counts: of several batteries the one with the lowest number."""
         self.note(frame.name)
         if frame.name == 'BATTERY_STATUS':
-            self._battery = min(frame.number, self._battery or frame.number)
+            first = frame.number if self._battery is None else self._battery
+            self._battery = min(frame.number, first)
             if frame.number != self._battery:
                 return False
         return self.feeds(BATTERY, frame.name, now_ns)
