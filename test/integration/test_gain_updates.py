@@ -94,7 +94,7 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.ask({KP: 0.1, ANGLE: 4.0})
     bench.active({KP: 0.1, ANGLE: 4.0})
     bench.ask(*({ANGLE: 5.0 + 0.01 * k} for k in range(200)), source='a flood')
-    bench.said('gains of a flood refused: an earlier update is still under way')
+    bench.said('gains of a flood refused: an earlier update is in flight')
     refused = bench.set(ANGLE, 5.0)
     bench.told.clear()
     assert not refused.successful

@@ -60,9 +60,14 @@ class Cockpit(Updated):
         self.connected.on_change = self.changed
         super().connect(link)
 
+    def opened(self):
+        super().opened()
+        self.connected.forget()
+
     def changed(self, aircraft):
         self.updates.use(aircraft.gains)
-        self.link.autopilot.also_hz = aircraft.kind.requested_hz
+        known = self.connected.autopilot
+        self.link.autopilot.also_hz = {} if known is None else known.kind.requested_hz
 
     def handle(self, event):
         now_s = 1e-9 * self.now_ns
@@ -196,6 +201,31 @@ def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name, atte
         assert now == before, attempt
         assert 'trial' not in line.kept()
         assert line.updates.state is State.IDLE
+
+
+def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying):
+    line, p = flying('px4'), P['px4']
+    first, before = line.controller, line.controller.parameters[p]
+    line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+    line.fly(3.0)
+    assert first.parameters[p] != before
+    line.controller = other = Flying(KINDS['px4'], uid=0x9999, takes_off=True)
+    line.opened()
+    line.fly(8.0)
+    assert line.updates.aircraft == 'px4_0000000000009999'
+    assert not other.written
+    line.controller = first
+    line.opened()
+    line.fly(8.0)
+    assert first.parameters[p] == before
+    line.up.cut = line.down.cut = True  # on a radio no port is opened: it is silent for a while
+    line.fly(4.0)
+    line.up.cut = line.down.cut = False
+    line.controller = other
+    line.fly(8.0)
+    assert line.updates.aircraft == 'px4_0000000000009999'
+    assert line.updates.active
+    assert not other.written
 
 
 def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):

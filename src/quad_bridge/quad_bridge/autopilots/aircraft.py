@@ -25,6 +25,7 @@ from quad_bridge.wire.frames import Injection, Vector3
 REQUEST_MESSAGE, VERSION = 512, 148
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
+GONE_S = 3.0  # silent for so long, it may be another one that is heard then
 RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
 OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
 
@@ -201,7 +202,7 @@ class Connected:
         """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
-        self._now_s = now_s
+        self._now_s, self._heard_s = now_s, -math.inf
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -215,6 +216,9 @@ class Connected:
 
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
+        if now_s - self._heard_s > GONE_S:
+            self.forget()
+        self._heard_s = now_s
         if isinstance(frame, f.Heartbeat):
             self._meet(frame)
         if self.autopilot is not None:
@@ -224,6 +228,8 @@ class Connected:
         """Forget the aircraft, since another may follow; an unfinished trial is on the disk."""
         if self.autopilot is not None:
             self.autopilot.abort()
+            self.autopilot, self.aircraft = None, self._quad
+            self.on_change(self.aircraft)
 
     def _meet(self, beat: f.Heartbeat) -> None:
         kind = BY_NUMBER.get(beat.autopilot)

@@ -106,7 +106,6 @@ class GainUpdates:
         self.refusals = self.commits = self.rollbacks = 0
         self.state = State.IDLE
         self._settings, self._history = settings, history
-        self._trial: Any = None  # what the files know of a trial, once they are open
         self.use(GainProtocol())
         self.rate_hz = gate.USUAL_HZ
         self.watch = GainWatch(gate.USUAL_HZ)
@@ -125,11 +124,15 @@ class GainUpdates:
         self._rate_kp = np.ones(3)
 
     def use(self, protocol: Any) -> None:
-        """Use this protocol for the aircraft's sets of gains (aircraft.py, `Gains`)."""
-        self.protocol = protocol
+        """Use this protocol for the aircraft's sets of gains (aircraft.py, `Gains`).
+
+        It may be of another aircraft: what is in flight ends, and files are opened by its name.
+        """
+        if self.state is not State.IDLE:
+            self.restarted()
+        self.protocol, self._good, self._flown = protocol, [], False
         protocol.keep = self._history.keep_trial
-        if self._settings.aircraft and self._trial is not None:  # whose files are open already
-            protocol.recall(self._trial)
+        self._history.leave('')
 
     @property
     def active(self) -> Mapping[str, float]:
@@ -261,7 +264,7 @@ class GainUpdates:
             raise RefusedError('the link is down: no control cycle in the last 0.5 s; '
                                '/diagnostics says why')
         if self.state is not State.IDLE:
-            raise RefusedError(f'an earlier update is still under way: {self.words}')
+            raise RefusedError(f'an earlier update is in flight: {self.words}')
         if self.protocol.busy:
             raise RefusedError(f'the parameters are busy: {self.protocol.busy}')
         if now_s - self._cycles.excited_s < QUIET_S:
@@ -301,8 +304,7 @@ class GainUpdates:
         self._good = []
         self.polarity.load(record)
         self.watch.know(record.get(FLIGHT))
-        self._trial = record.get(TRIAL, {})
-        self.protocol.recall(self._trial)
+        self.protocol.recall(record.get(TRIAL, {}))
         self._take_events()
         self._history.note_active(self.active)
 

@@ -157,6 +157,8 @@ class Link:
         self.stamping.out = events
         frames = self.decoder.feed(data)
         if frames:
+            if self.peer is not None and now_ns - self._received_ns > RELEASE_NS:
+                self._forget_autopilot()  # it may be another one that is heard now
             self._received_ns = now_ns
         for frame in frames:
             take = self._takes.get(type(frame))

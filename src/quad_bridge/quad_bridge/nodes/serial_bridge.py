@@ -227,6 +227,7 @@ class SerialBridge(ManagedNode):
             self._report.opened()
             self._gains.restarted()
             self._gains.disturb('the port was opened again')
+            self._connected.forget()
             self._time.opened(*self._epoch())
         path = self._port.status.path
         speed = '' if '://' in path else f' at {self._settings.baud} baud'
