@@ -160,6 +160,14 @@ def test_a_clock_set_back_does_not_enlarge_what_fades_out():
     assert player.state is State.ABORTED
 
 
+def test_a_clock_set_back_before_the_start_completes_nothing():
+    player = Player(schedule(), RIG)
+    player.start(100.0, GOOD)
+    play(player, lambda _: GOOD, 1.0, start=100.0)
+    play(player, lambda _: GOOD, 1.0, start=50.0)
+    assert player.state is State.ABORTED
+
+
 def test_stop_and_cut():
     player = Player(schedule(), RIG, ramp_out_s=0.2)
     player.start(100.0, GOOD)
@@ -176,9 +184,9 @@ def test_stop_and_cut():
     assert player.cut('again').announcement is None
 
 
-def ages(*gaps: float) -> list[float]:
+def ages(*gaps: float, period_s: float = DT) -> list[float]:
     """At each tick, so long after the one before, the age of what was heard at the first."""
-    stall, time, found = Stall(), 0.0, []
+    stall, time, found = Stall(period_s), 0.0, []
     heard = stall.awake_s(time)
     for gap in (0.0, *gaps):
         time += gap
@@ -202,3 +210,7 @@ def ages(*gaps: float) -> list[float]:
 )
 def test_a_silent_link_grows_old_by_the_clock_but_for_standstills(gaps, last):
     assert ages(*gaps)[-1] == pytest.approx(last, abs=1e-9)
+
+
+def test_the_ticks_of_a_slow_node_are_no_standstills():
+    assert ages(*20 * [0.1], period_s=0.1)[-1] == pytest.approx(2.0)

@@ -84,7 +84,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._refusal, self._began_s = '', 0.0
         self._volts: deque[float] = deque(maxlen=5)  # the highest counts, a dip is not low
         self._ticks = 0
-        self._stall = Stall()
+        self._stall = Stall(1.0 / settings.rate_hz)
         self._waiting = settings.autostart
         self._refused = ''
         self._excites = False  # nothing can be refused while nothing is sent

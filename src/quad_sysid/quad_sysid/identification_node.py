@@ -65,7 +65,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.declare_parameter('bag', '', ParameterDescriptor(description=words))
         self._wanted = _wanted(self)
         self._bag = ''
-        self._begun: set[str] = set()  # recordings that the logger began since this node did
+        self._begun: dict[str, None] = {}  # recordings that the logger began since this node did
         self._unsure: dict[str, str] = {}  # the latest, while its publisher has no name yet
         self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
@@ -88,15 +88,16 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.get_logger().info('waits for /logger/bag to say complete')
 
     def _on_bag(self, data: bytes, info: Any) -> None:
-        if len(data) > MAX_BYTES or len(self._seen) >= MAX_BAGS:
+        if len(data) > MAX_BYTES:
             return
         event = deserialize_message(data, ParameterEvent)
         values = parameters(event)
         bag, state = str(values.get('path', '')), values.get('state')
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
-        if state == 'recording' and not earlier and len(self._begun) < MAX_BAGS:
+        if state == 'recording' and not earlier:
             if not stranger:
-                self._begun.add(bag)
+                self._begun[bag] = None
+                self._begun = dict([*self._begun.items()][-MAX_BAGS:])
             elif all('UNKNOWN' in one for one in self._said_by('/logger/bag')):
                 self._unsure = {bag: event.node}
         if state != 'complete' or bag in self._seen:
@@ -111,10 +112,20 @@ class IdentificationNode(Node):  # type: ignore[misc]
             before = {bag for bag, why in self._seen.items() if why == EARLIER}
             self._queue = deque(bag for bag in self._queue if bag not in before)
         unseen = '' if bag in self._begun else 'its recording has not begun since this node did'
-        self._seen[bag] = EARLIER if earlier else stranger or unseen
-        self._queue.append(bag)
+        self._queue_up(bag, EARLIER if earlier else stranger or unseen)
         if not earlier:
             self._start_next()
+
+    def _queue_up(self, bag: str, why: str) -> None:
+        """Let a bag wait for its identification; `why` its gains are not sent."""
+        if len(self._queue) >= MAX_BAGS:
+            self.get_logger().warning(f'{bag}: not read: {MAX_BAGS} bags wait already')
+            return
+        self._seen[bag] = why
+        self._queue.append(bag)
+        done = [one for one in self._seen if one not in {*self._queue, self._bag}]
+        for one in done[: max(0, len(done) - MAX_BAGS)]:  # whose gains were sent long ago
+            del self._seen[one]
 
     def _on_log(self, event: Any) -> None:
         """Take how far the bridge is with an autopilot's log; a stranger's word counts nothing."""
@@ -287,7 +298,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _report(self) -> None:
         publishers = self._said_by('/logger/bag') if self._unsure else []
         if any('UNKNOWN' not in one for one in publishers):
-            self._begun.update(bag for bag, node in self._unsure.items()
+            self._begun.update((bag, None) for bag, node in self._unsure.items()
                                if not self._stranger(node))
             self._unsure = {}
         text, values = self._values.get('reason', self._values['state']), self._values

@@ -71,10 +71,19 @@ class UdpPort:
                 return self._sent(data)
             now_s = time.monotonic()
             self._peers = {p: s for p, s in self._peers.items() if now_s - s < PEER_TIMEOUT_S}
-            return max((self._socket.sendto(data, peer) for peer in self._peers),
-                       default=len(data))  # fmt: skip
+            return max((self._to(peer, data) for peer in [*self._peers]), default=len(data))
         except BlockingIOError:
             return 0
+
+    def _to(self, peer: tuple[str, int], data: bytes) -> int:
+        """Send to one peer; one that cannot be reached is left out until it is heard again."""
+        try:
+            return self._socket.sendto(data, peer)
+        except BlockingIOError:
+            raise
+        except OSError:
+            del self._peers[peer]
+            return len(data)
 
     def close(self) -> None:
         """Close the socket."""

@@ -155,7 +155,9 @@ second. A longer stall counts as age, because nothing watched the aircraft."""
 class Stall:
     """A clock that leaves out the stalls of the node, seen from the times of its ticks."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float = 0.0) -> None:
+        """`period_s` between two ticks that are in time."""
+        self._longest_s = max(STALL_S, 2.5 * period_s)
         self._last: float | None = None
         self._stalled_s = 0.0
         self._allowed_s = MOST_STALLED_S
@@ -170,7 +172,7 @@ class Stall:
         """Register a tick, before ages are judged in it."""
         gap = 0.0 if self._last is None else now_s - self._last
         self._last = now_s
-        self.stood_still_s = gap if gap > STALL_S else 0.0
+        self.stood_still_s = gap if gap > self._longest_s else 0.0
         if not self.stood_still_s:
             self._allowed_s = min(self._allowed_s + gap, MOST_STALLED_S)
         elif gap <= self._allowed_s:

@@ -101,6 +101,8 @@ class Player:
         if self.state is State.ENDING:
             return self._ramp_out(now_s)
         into_s = now_s - self._began
+        if into_s < 0.0:
+            return self._finish(State.ABORTED, 'the clock was set back before its start')
         index = self.schedule.index(into_s)
         if index is None:
             return self._finish(State.DONE, 'the schedule is complete')
