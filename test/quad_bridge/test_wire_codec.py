@@ -57,6 +57,14 @@ def test_lost_cycles_and_restarts_are_counted_by_the_32_bit_counter(numbers, los
     assert (decoder.counts.lost_cycles, decoder.counts.restarts) == (lost, restarts)
 
 
+def test_a_cycle_that_another_has_overtaken_is_lost_and_no_restart():
+    decoder, encoder = Decoder(), Encoder()
+    sent = [replace(CYCLE, cycle=n, time_us=4000 * n + 7) for n in (10, 12, 11, 13)]
+    frames = [frame for one in sent for frame in decoder.feed(encoder.encode(one))]
+    assert [frame.cycle for frame in frames] == [10, 12, 13]
+    assert (decoder.counts.lost_cycles, decoder.counts.restarts) == (1, 0)
+
+
 def peer(system=1):
     return common.MAVLink(None, srcSystem=system, srcComponent=1)
 

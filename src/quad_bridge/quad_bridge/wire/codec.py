@@ -30,6 +30,7 @@ _ANSWERS = (f.TimeSync, f.ParamValue, f.GainsState, f.CommandAck)
 """They mean something only from who was asked: the peer, once it is known."""
 _WRAP = 1 << 32
 _MAX_GAP = 1_000_000  # cycles (over an hour at 250 Hz): a larger step is a restart, not a loss
+_OVERTAKEN, _LONGEST_US = 8, 100_000  # a cycle so many behind, each so long at most, came late
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: the heartbeat of something that flies nothing
 
 
@@ -49,7 +50,7 @@ class Decoder:
         self._own = own
         self._peer: tuple[int, int] | None = None
         self._cycles = False  # whether the peer has sent control cycles
-        self._last: int | None = None  # the counter of the last cycle, 32 bits
+        self._last: f.Cycle | None = None  # with a counter of 32 bits
         self.counts = Counts()
         self._framer = Framer(_EXTRAS, self.counts)
 
@@ -110,21 +111,29 @@ class Decoder:
             if checked is None:
                 return
             frame = checked
-        if isinstance(frame, f.Cycle):
-            self._count(frame.cycle)
+        if isinstance(frame, f.Cycle) and not self._count(frame):
+            return
         if self._own is not None and not self._known(frame, packet):
             self.counts.foreign += 1
             return
         frames.append(frame)
 
-    def _count(self, cycle: int) -> None:
-        """Count what is missing before this cycle, or a restart of the peer."""
-        last, self._last = self._last, cycle
-        gap = (cycle - last) % _WRAP - 1 if last is not None else 0
+    def _count(self, frame: f.Cycle) -> bool:
+        """Count what is missing before this cycle, or a restart of the peer.
+
+        False for one that a later one has overtaken, as on a network: it counts as lost.
+        """
+        last = self._last
+        if last is not None and 0 < (late := (last.cycle - frame.cycle) % _WRAP) <= _OVERTAKEN \
+                and 0 < last.time_us - frame.time_us <= late * _LONGEST_US:
+            return False
+        self._last = frame
+        gap = (frame.cycle - last.cycle) % _WRAP - 1 if last is not None else 0
         if gap > _MAX_GAP:
             self.counts.restarts += 1
         else:
             self.counts.lost_cycles += max(gap, 0)
+        return True
 
     def _known(self, frame: f.Frame, packet: Packet) -> bool:
         """Take who flies for the peer; False for an answer of somebody else."""
