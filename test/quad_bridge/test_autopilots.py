@@ -219,7 +219,7 @@ def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying
     line.fly(8.0)
     assert first.parameters[p] == before
     line.up.cut = line.down.cut = True  # on a radio no port is opened: it is silent for a while
-    line.fly(4.0)
+    line.fly(11.0)
     line.up.cut = line.down.cut = False
     line.controller = other
     line.fly(8.0)

@@ -25,7 +25,7 @@ from quad_bridge.wire.frames import Injection, Vector3
 REQUEST_MESSAGE, VERSION = 512, 148
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
-GONE_S = 3.0  # silent for so long, it may be another one that is heard then
+SWAP_S = 10.0  # silent for so long, it may be another one that is heard then
 RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
 OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
 
@@ -47,7 +47,7 @@ class AutopilotAircraft(Aircraft):
         self.craft: Craft | None = None
         self.version: f.Version | None = None
         self._allow = {Ability.GAINS: allow_gains, Ability.EXCITE: allow_excitation}
-        self._system, self._now_s = system, now_s
+        self.system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
         self._refusal = ''  # why the running segment is not flown
         self._requests, self._ask_s = 0, -math.inf
@@ -157,7 +157,7 @@ class AutopilotAircraft(Aircraft):
             self._ask_s = min(self._ask_s, now_s)
 
     def _identify(self, uid: str) -> None:
-        name = f'{self.kind.name.lower()}_{uid or self._system}'
+        name = f'{self.kind.name.lower()}_{uid or self.system}'
         self.gains.identify(name)
 
     def poll(self, now_s: float) -> list[f.Frame]:
@@ -216,7 +216,7 @@ class Connected:
 
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
-        if now_s - self._heard_s > GONE_S:
+        if now_s - self._heard_s > SWAP_S:
             self.forget()
         self._heard_s = now_s
         if isinstance(frame, f.Heartbeat):
@@ -232,9 +232,10 @@ class Connected:
             self.on_change(self.aircraft)
 
     def _meet(self, beat: f.Heartbeat) -> None:
-        kind = BY_NUMBER.get(beat.autopilot)
-        previous = self.autopilot
-        if (previous.kind if previous is not None else None) is kind:
+        kind, known = BY_NUMBER.get(beat.autopilot), self.autopilot
+        if known is not None and (known.kind, known.system) == (kind, beat.system):
+            return
+        if known is None and kind is None:
             return
         self.autopilot = None if kind is None else AutopilotAircraft(
             kind, beat.system, now_s=self._now_s, **self._allow
