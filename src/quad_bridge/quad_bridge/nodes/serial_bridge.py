@@ -287,6 +287,10 @@ class SerialBridge(ManagedNode):
         self._gains.use(aircraft.gains)
         autopilot = self._connected.autopilot
         self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
+        if autopilot is not None:
+            autopilot.takeover.known = lambda: autopilot.gains.values
+            if autopilot.system_id is not None:
+                autopilot.system_id.heard_s = lambda: autopilot.takeover.heard_s
 
     def _publish(self, event: Stamped) -> None:
         frame, stamp_ns = event.frame, event.stamp_ns + self._time.epoch_ns
