@@ -284,12 +284,12 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     before = dict(line.controller.parameters)
     line.segment(signal='chirp', injection='control', axis='pitch', amplitude=0.06, f0_hz=1.0,
                  f1_hz=8.0, sweep_s=12.0, ramp_s=0.5)
-    line.fly(6.0)
+    line.excite(6.0, 0.06)  # the excitation node plays the chirp too, though it is not sent
     assert line.controller.mode == flown.SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
     assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
     assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
-    line.fly(6.5)
+    line.excite(6.5, 0.06)
     assert line.controller.mode == flown.STABILIZE  # by itself, within the segment
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(2.0)
@@ -303,9 +303,106 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
         assert line.controller.parameters == before
 
 
+CHIRP = {'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0, 'sweep_s': 20.0}
+
+
+@pytest.mark.parametrize('case', ['sticks', 'let go', 'silence'])
+def test_system_id_that_was_just_entered_is_left_before_its_parameters_go_back(flying, case):
+    """The heartbeat, once a second, does not say yet that it was entered."""
+    line = flying('ardupilot')
+    controller, sid = line.controller, line.aircraft.system_id
+    before = dict(controller.parameters)
+    line.segment(signal='chirp', injection='control', axis='pitch', **CHIRP)
+    while controller.mode != flown.SYSTEM_ID:
+        line.excite(0.004, 0.05)
+    assert line.aircraft.flight.mode == flown.STABILIZE
+    if case == 'sticks':
+        controller.sticks[0] = 0.3
+    elif case == 'let go':
+        line.relay.segment({'segment': 'idle', 'signal': 'none'})
+    for k in range(1250):
+        (line.run if case == 'silence' else lambda: line.excite(0.004, 0.05))()
+        is_left = controller.mode == flown.STABILIZE
+        assert is_left or (k < 100 and controller.parameters['SID_AXIS'] == 11)
+    assert controller.parameters == before
+    assert sid.phase.value == 'idle'
+    words = {'sticks': 'sticks were moved', 'let go': '', 'silence': 'has been silent'}[case]
+    assert words in sid.refusal
+    assert bool(words) == bool(sid.refusal)
+
+
+def test_system_id_ends_where_the_schedule_falls_silent(flying):
+    """The limits of the excitation node and the pilot's abort switch have gone with it."""
+    line = flying('ardupilot')
+    before = dict(line.controller.parameters)
+    line.segment(signal='chirp', injection='control', axis='pitch', **CHIRP)
+    line.excite(5.0, 0.05)
+    assert line.controller.mode == flown.SYSTEM_ID
+    line.fly(0.4)
+    assert line.controller.mode == flown.STABILIZE
+    line.fly(3.0)
+    assert line.controller.parameters == before
+    assert 'has been silent' in line.connected.aircraft.cannot(Ability.EXCITE)
+
+
+def test_guided_nogps_is_not_flown_where_no_climb_is_half_throttle(flying):
+    line = flying('ardupilot')
+    for options, words in ((12, 'is 12: with its bit 3 no climb is half throttle; set it to 4'),
+                           (None, 'GUID_OPTIONS is not read'), (4, '')):
+        line.aircraft.gains.values.pop('GUID_OPTIONS', None)
+        if options is not None:
+            line.controller.parameters['GUID_OPTIONS'] = options
+            line.hear(line.controller.pack(line.controller.value('GUID_OPTIONS')))
+        screen = lines(report(line.aircraft, line.link, line.now_ns, ''))
+        row = next(row for row in screen if 'GUID_OPTIONS' in row)
+        assert row.startswith('  --' if words else '  ok')
+        line.segment()
+        refusal = line.connected.aircraft.cannot(Ability.EXCITE)
+        assert words in refusal
+        assert bool(words) == bool(refusal)
+
+
+@pytest.mark.parametrize('begins_with', ['position', 'pressure'])
+def test_px4_whose_height_comes_from_elsewhere_flies_at_its_hover_throttle(flying, begins_with):
+    """A position's height is not a barometer's. Without a position PX4 refuses Position mode."""
+    aircraft = Flying(KINDS['px4'])
+    set_rate, set_mode = aircraft.set_rate, aircraft._set_mode
+
+    def lose_position():
+        aircraft.streams.pop('LOCAL_POSITION_NED', None)
+        aircraft.set_rate = lambda name, hz: (
+            None if name == 'LOCAL_POSITION_NED' else set_rate(name, hz))
+
+    if begins_with == 'pressure':
+        lose_position()
+    line = flying('px4', aircraft=aircraft)
+    line.segment(injection='rate')
+    line.excite(4.0, 0.05)
+    assert aircraft.mode == flown.OFFBOARD
+    hover = aircraft.craft.hover_throttle
+    if begins_with == 'pressure':
+        set_rate('LOCAL_POSITION_NED', 25.0)
+    else:
+        lose_position()
+        aircraft._set_mode = lambda m: flown.DENIED if m.param2 == 3.0 else set_mode(m)
+        aircraft.pilot_mode = 2 << 16  # Altitude: its own choice at a loss of OFFBOARD
+    for _ in range(1650):
+        line.excite(0.004, 0.05)
+        assert aircraft.target.thrust == pytest.approx(hover, abs=0.03)
+    assert 'is not known any more' in line.connected.aircraft.cannot(Ability.EXCITE)
+    assert aircraft.now_s - aircraft.targets[-1] > 1.0
+    assert aircraft.mode == aircraft.pilot_mode
+    assert line.aircraft.takeover.phase.value == 'idle'
+    assert abs(aircraft.craft.machine.state[POSITION + 2]) < 1.0
+    if begins_with == 'position':  # what it followed until it noticed: attitude, level
+        assert aircraft.target.type_mask & 7 == 7
+        assert flown.turned(*aircraft.target.q)[:2] == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
 NOW_S = 100.0
 HOVER = {'mode': flown.POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1, -0.1, 1.0),
          'sticks': (0.1, 0.0, -0.2, 0.0), 'volts': 12.5, 'height_m': 3.0,
+         'height_source': 'the barometer', 'height_s': NOW_S,
          'place': (1.0, 2.0, -3.0), 'attitude_s': NOW_S, 'beat_s': NOW_S,
          'sticks_s': NOW_S, 'calm_since_s': NOW_S - 2.0}
 
@@ -319,6 +416,8 @@ HOVER = {'mode': flown.POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1
     ({'angles': (0.6, -0.6, 3.0)}, ''),
     ({'height_m': 5.1}, r'\+2.1 m of height'), ({'height_m': 0.9}, '-2.1 m of height'),
     ({'height_m': 4.9}, ''), ({'height_m': 1.1}, ''), ({'height_m': None}, ''),
+    ({'height_s': NOW_S - 1.1}, 'by the barometer is not known'), ({'height_s': NOW_S - 0.9}, ''),
+    ({'height_source': 'LOCAL_POSITION_NED'}, 'by the barometer is not known'),
     ({'place': (5.0, 5.1, -3.0)}, '5.1 m from where'), ({'place': (-2.5, -1.5, 9.0)}, ''),
     ({'volts': 11.49}, 'battery has sunk to 11.5'), ({'volts': 11.51}, ''),
     ({'attitude_s': NOW_S - 0.31}, 'stale: no attitude'), ({'attitude_s': NOW_S - 0.29}, ''),
@@ -416,9 +515,6 @@ def test_a_segment_in_flight_ends_and_the_mode_is_given_back(flying, name):
         assert controller.mode == (chosen if case == 'mode' else controller.pilot_mode), case
         assert words in line.connected.aircraft.cannot(Ability.EXCITE)
         assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
-
-
-CHIRP = {'amplitude': 0.05, 'f0_hz': 1.0, 'f1_hz': 8.0, 'sweep_s': 20.0}
 
 
 def test_a_wrong_chirp_is_refused_in_one_line():

@@ -41,8 +41,10 @@ class AutopilotAircraft(Aircraft):
         self.gains = ParameterGains(kind.table, bytewise=kind.bytewise)
         self.gains.units = self._units
         self.gains.want(*kind.reads, *(SID_NAMES if kind.system_id else ()))
-        self.takeover = Takeover(kind.means, self.flight)
-        self.system_id = SystemId(self.flight, kind.means.set_mode) if kind.system_id else None
+        self.takeover = Takeover(kind.means, self.flight, lambda: self.gains.values)
+        self.system_id = SystemId(
+            self.flight, kind.means.set_mode, lambda: self.takeover.heard_s
+        ) if kind.system_id else None
         self._ways = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
         self.craft: Craft | None = None
         self.version: f.Version | None = None

@@ -29,6 +29,8 @@ ON_GROUND, IN_AIR = 1, 2  # MAV_LANDED_STATE
 THRUST_S = 2.0  # over which the hover throttle is averaged
 REFERENCE_S = 1.0  # after which what the loops follow is not known any more
 STICK = 0.15  # share of its way by which a stick has been moved
+POSITION, BAROMETER = 'LOCAL_POSITION_NED', 'the barometer'
+HEIGHT_S = 1.0  # after which a height is not known any more
 METRES_PER_HPA = 8.43  # of the standard atmosphere at sea level
 BARO_S = 0.5  # time constant of the pressure: its noise is a metre, a climb lasts seconds
 ENOUGH, WINDOW = 100, 250  # arrivals over which their rate is counted
@@ -51,12 +53,14 @@ class FlightState:
     place: Vector3 | None = None
     speed: Vector3 | None = None
     height_m: float | None = None
-    """Above some level, by position or barometer."""
+    """Above the level of its source: heights of two sources have nothing in common."""
+    height_source: str = ''
     climb_m_s: float = 0.0
     beat_s: float = -math.inf
     attitude_s: float = -math.inf
     sticks_s: float = -math.inf
     place_s: float = -math.inf
+    height_s: float = -math.inf
     target_s: float = -math.inf
     calm_since_s: float = math.inf
     rate_hz: float = 0.0
@@ -84,6 +88,7 @@ class FlightState:
         elif isinstance(frame, f.LocalPosition):
             self.place, self.speed, self.place_s = frame.place, frame.speed, now_s
             self.height_m, self.climb_m_s = -frame.place[2], -frame.speed[2]
+            self.height_source, self.height_s = POSITION, now_s
         elif isinstance(frame, f.SlowSensors) and frame.pressure_hpa is not None:
             self._take_pressure(frame.pressure_hpa, now_s)
 
@@ -181,10 +186,10 @@ class FlightState:
 
     def _take_pressure(self, hpa: float, now_s: float) -> None:
         since_s, self._baro_s = now_s - self._baro_s, now_s
-        if self.place is not None and now_s - self.place_s < 1.0:
+        if self.height_source == POSITION and now_s - self.height_s < HEIGHT_S:
             return
         previous = self._level_hpa
-        if not math.isfinite(previous) or since_s > 1.0:
+        if self.height_source != BAROMETER or since_s > HEIGHT_S:
             self._level_hpa, self.climb_m_s = hpa, 0.0
         elif since_s > 0.0:
             share = min(since_s / BARO_S, 1.0)
@@ -192,6 +197,7 @@ class FlightState:
             climb = METRES_PER_HPA * (previous - self._level_hpa) / since_s
             self.climb_m_s += share * (climb - self.climb_m_s)
         self.height_m = -METRES_PER_HPA * self._level_hpa
+        self.height_source, self.height_s = BAROMETER, now_s
 
 
 def wrapped(angles: Iterable[float]) -> Vector3:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.flight import HEIGHT_S, FlightState
 from quad_bridge.wire.frames import Vector3
 
 MOST_TILT_RAD = math.radians(35.0)  # at hover thrust a fifth of the lift is lost there
@@ -24,6 +24,7 @@ class Guard:
     sticks: tuple[float, ...]
     yaw: float
     height_m: float | None
+    height_source: str
     place: Vector3 | None
     volts: float
 
@@ -31,10 +32,15 @@ class Guard:
     def of(cls, flight: FlightState) -> Guard:
         """The flight as it is now."""
         yaw = 0.0 if flight.angles is None else flight.angles[2]
-        return cls(flight.mode or 0, flight.sticks, yaw, flight.height_m, flight.place,
-                   flight.volts)
+        return cls(flight.mode or 0, flight.sticks, yaw, flight.height_m, flight.height_source,
+                   flight.place, flight.volts)
 
-    def fault(self, flight: FlightState, now_s: float) -> str:  # noqa: PLR0911
+    def has_height(self, flight: FlightState, now_s: float) -> bool:
+        """Whether the height comes, and from the source that it came from at the start."""
+        return (flight.height_source == self.height_source
+                and now_s - flight.height_s < HEIGHT_S)
+
+    def fault(self, flight: FlightState, now_s: float) -> str:  # noqa: C901, PLR0911
         """Why what began so must end now; empty where it may go on."""
         fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
         if fault:
@@ -45,6 +51,8 @@ class Guard:
             return "the pilot's sticks were moved"
         if flight.angles is not None and max(map(abs, flight.angles[:2])) > MOST_TILT_RAD:
             return f'beyond {math.degrees(MOST_TILT_RAD):.0f} deg of roll or pitch'
+        if self.height_source and not self.has_height(flight, now_s):
+            return f'its height by {self.height_source} is not known any more'
         if self.height_m is not None and flight.height_m is not None:
             off_m = flight.height_m - self.height_m
             if abs(off_m) > MOST_HEIGHT_M:

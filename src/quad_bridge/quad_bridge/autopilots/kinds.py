@@ -25,6 +25,7 @@ from quad_bridge.craft import Craft
 from quad_bridge.wire import frames as f
 
 DO_SET_MODE = 176
+GUID_THROTTLE = 3  # bit of GUID_OPTIONS: a thrust is a throttle
 CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 OF_FLIGHT_HZ = {'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0}
 """Messages that say how it flies, beside those of the topics."""
@@ -112,6 +113,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     has_sid = 'SID_AXIS' in known
     blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
     learns = int(known.get('MOT_HOVER_LEARN', 0))
+    options = known.get('GUID_OPTIONS')
     advice = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
@@ -120,6 +122,9 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'boards of 1 MB flash lack it from 4.5 on, and GUIDED_NOGPS too'),
         (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
+        ('GUID_OPTIONS ' + ('is not answered' if options is None else f'{options:g}'),
+         options is not None and not int(options) & 1 << GUID_THROTTLE,
+         f'clear bit {GUID_THROTTLE}: with it no climb in GUIDED_NOGPS is half throttle'),
         (f'MOT_HOVER_LEARN {learns}', not learns,
          'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]
@@ -142,11 +147,12 @@ KINDS = (
     Kind(
         ARDUPILOT.number, 'ArduPilot', ARDUPILOT, bytewise=False,
         pilot_modes={0: 'Stabilize', 1: 'Acro', 2: 'AltHold', 5: 'Loiter', 16: 'PosHold'},
-        means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True),
+        means=Means(20, 'GUIDED_NOGPS', _ardupilot_mode, climb=True,
+                    throttle_bit=('GUID_OPTIONS', GUID_THROTTLE)),
         units=lambda craft, known: ardupilot_units(np.asarray(craft.mixer), known),
         requested_hz=OF_FLIGHT_HZ,
         reads=(*OF_MOTORS, 'MOT_HOVER_LEARN', 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE',
-               'SID_AXIS'),
+               'SID_AXIS', 'GUID_OPTIONS'),
         advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,
         modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
     ),

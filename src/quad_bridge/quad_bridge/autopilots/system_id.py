@@ -2,7 +2,8 @@
 
 Its parameters are written one after the other and read back; where one is not taken the mode is
 not entered. SID_MAGNITUDE is always the schedule's: its default of 15 is meant for degrees and is
-the whole command at the mixer. The mode ignores the sticks, so they are watched here.
+the whole command at the mixer. The mode ignores the sticks, so they are watched here. The schedule
+plays its own signal meanwhile, which is not sent: where it falls silent, so have its limits.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.takeover import BEAT_S, LATEST_S
 from quad_bridge.link.parameters import number
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.frames import Injection
@@ -77,18 +79,22 @@ def sid_parameters(
 class SystemId:
     """One chirp at a time. Times in s on a steady clock."""
 
-    def __init__(self, flight: FlightState, set_mode: Callable[[int], f.Command]) -> None:
+    def __init__(self, flight: FlightState, set_mode: Callable[[int], f.Command],
+                 heard_s: Callable[[], float]) -> None:
+        """`heard_s`: when the schedule's last set-point came, s."""
         self.phase = Phase.IDLE
         self.refusal = ''  # why the last chirp did not begin, or ended early
         self.known: dict[str, float] = {}
         self._kinds: dict[str, int] = {}
-        self._flight, self._set_mode = flight, set_mode
+        self._flight, self._set_mode, self._heard_s = flight, set_mode, heard_s
         self._before: dict[str, float] = {}
         self._target: dict[str, float] = {}
         self._queue: list[str] = []
         self._guard: Guard | None = None
         self._tries, self._due_s, self._since_s, self._requested_s = 0, -math.inf, 0.0, -math.inf
-        self._end_s = math.inf
+        self._begun_s, self._end_s = -math.inf, math.inf
+        self._ask_back = False  # whether the mode from before is to be asked for, once
+        self._sure_s = -math.inf  # a heartbeat from then on tells whether the mode was entered
 
     @property
     def flying(self) -> bool:
@@ -110,7 +116,7 @@ class SystemId:
         """Write the parameters, then enter the mode."""
         self.refusal, self._target = '', dict(parameters)
         self._before = {name: self.known[name] for name in parameters}
-        self._guard = Guard.of(self._flight)
+        self._guard, self._begun_s = Guard.of(self._flight), now_s
         self._queue = [n for n in parameters if n != 'SID_AXIS'] + ['SID_AXIS']
         length_s = sum(parameters[n] for n in NAMES[-3:]) + 2.0 / parameters['SID_F_START_HZ']
         self._end_s = DELAY_S + length_s + 0.5
@@ -124,8 +130,12 @@ class SystemId:
             self.refusal = self.refusal or reason
         if self.phase is Phase.WRITING:
             self._restore(now_s)
-        else:
-            self._go(Phase.LEAVING, now_s)
+            return
+        asked = self.phase is Phase.ENTERING  # it may be in it, and the next heartbeat says so
+        self._ask_back = (asked and self._guard is not None
+                          and self._flight.mode == self._guard.mode)
+        self._sure_s = now_s + BEAT_S if asked else -math.inf
+        self._go(Phase.LEAVING, now_s)
 
     def take(self, frame: f.ParamValue) -> None:
         """Take a parameter's value."""
@@ -147,6 +157,8 @@ class SystemId:
         out: list[f.Frame] = []
         if self.phase in {Phase.WRITING, Phase.ENTERING, Phase.FLYING}:
             fault = self._guard.fault(self._flight, now_s) if self._guard else ''
+            if now_s - max(self._heard_s(), self._begun_s) > LATEST_S:
+                fault = fault or f'the schedule has been silent for {LATEST_S:g} s'
             if fault:
                 self.end(fault, now_s, abort=True)
         if self.phase in {Phase.WRITING, Phase.RESTORING}:
@@ -159,10 +171,11 @@ class SystemId:
             elif now_s - self._since_s > self._end_s:
                 self.end('its time is over', now_s)  # it stays in the mode, and injects no more
         elif self.phase is Phase.LEAVING:
-            if self._flight.mode != MODE:
+            is_our_mode = self._flight.mode == MODE
+            if not is_our_mode and self._flight.beat_s > self._sure_s:
                 self._restore(now_s)
-            elif now_s - self._requested_s > AGAIN_S:
-                self._requested_s = now_s
+            elif (is_our_mode or self._ask_back) and now_s - self._requested_s > AGAIN_S:
+                self._requested_s, self._ask_back = now_s, False
                 out.append(self._set_mode(self._guard.mode if self._guard else 0))
         return out
 

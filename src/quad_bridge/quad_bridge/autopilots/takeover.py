@@ -3,18 +3,24 @@
 The bridge flies the aircraft meanwhile: at the heading and about the height and place that it had,
 with the schedule on one axis. It begins only where `fault` says nothing, streams before it asks
 for the mode, and gives the mode from before back at the end, or as soon as anything is not as it
-was (guard.py).
+was (guard.py). Where the mode is not given back, it falls silent after LEAVE_S, since the
+autopilot's own loss of set-points acts only then:
+
+PX4 leaves OFFBOARD after COM_OF_LOSS_T for the first of Position, Altitude and Stabilized that it
+can fly. While it is streamed to, it stays in OFFBOARD, with a throttle that nobody corrects.
+ArduPilot stays in GUIDED_NOGPS, and levels and holds its height after GUID_TIMEOUT, 3 s.
+Until then both follow the last set-point, so the last ones are level, at the hover throttle.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from quad_bridge.autopilots.flight import FlightState, wrapped
+from quad_bridge.autopilots.flight import HEIGHT_S, FlightState, wrapped
 from quad_bridge.autopilots.guard import Guard
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import angles_of, quaternion
@@ -23,7 +29,7 @@ from quad_bridge.wire.frames import Injection, Vector3
 PERIOD_S = 0.01  # between two set-points; the autopilots want them at 50 Hz or faster
 STREAM_S = 1.2  # of set-points before the mode is asked for
 ENTER_S, AGAIN_S = 3.0, 0.5  # until the mode must be there; between two requests
-LEAVE_S = 3.0
+LEAVE_S, LEVEL_S = 3.0, 0.5  # of set-points without the mode back; the last of them are level
 BEAT_S = 1.5  # heartbeats, which tell the mode, come once a second
 HEIGHT_GAIN, CLIMB_GAIN, MOST_THRUST = 0.05, 0.06, 0.12
 PLACE_GAIN, SPEED_GAIN, MOST_LEAN = 0.06, 0.11, math.radians(8.0)
@@ -56,20 +62,24 @@ class Means:
     set_mode: Callable[[int], f.Command]
     climb: bool = False
     """Whether the thrust is a climb rate, 0.5 for none."""
+    throttle_bit: tuple[str, int] | None = None
+    """Parameter and bit that make a throttle of this climb rate: 0.5 would be half of it."""
     injections: tuple[Injection, ...] = (Injection.ATTITUDE, Injection.RATE)
 
 
 class Takeover:
     """One segment at a time. Times in s on a steady clock; vectors FRD."""
 
-    def __init__(self, means: Means, flight: FlightState) -> None:
+    def __init__(self, means: Means, flight: FlightState,
+                 known: Callable[[], Mapping[str, float]]) -> None:
+        """`known`: the autopilot's parameters, as far as they are read."""
         self.phase = Phase.IDLE
         self.refusal = ''
         """Why the last segment did not begin, or ended early; empty until then."""
         self.applied: Vector3 = ZERO
         """What the autopilot's own words say was added, FRD."""
         self.injection = Injection.NONE
-        self._means, self._flight = means, flight
+        self._means, self._flight, self._known = means, flight, known
         self._start: Guard | None = None
         self._throttle = 0.0
         self._ask_back = False  # whether the mode from before is to be asked for, once
@@ -83,6 +93,11 @@ class Takeover:
     def flying(self) -> bool:
         """Whether the schedule is flown now."""
         return self.phase is Phase.FLYING
+
+    @property
+    def heard_s(self) -> float:
+        """When the schedule was heard last, also beside SYSTEM ID."""
+        return self._wanted_s
 
     def begin(self, axis: int, injection: Injection, now_s: float) -> None:
         """Begin a segment on one axis that `fault` lets begin; in flight the next one follows."""
@@ -105,8 +120,16 @@ class Takeover:
         if injection not in self._means.injections:
             injections = ' or '.join(i.name.lower() for i in self._means.injections)
             return f'{self._means.name} takes an injection of {injections}'
+        if self._means.throttle_bit is not None:
+            name, bit = self._means.throttle_bit
+            value = self._known().get(name)
+            if value is None:
+                return f'{name} is not read: with its bit {bit} no climb would be half throttle'
+            if int(value) & 1 << bit:
+                return (f'{name} is {value:g}: with its bit {bit} no climb is half throttle; set '
+                        f'it to {int(value) & ~(1 << bit)}')
         if not self._means.climb:
-            if self._flight.height_m is None:
+            if now_s - self._flight.height_s > HEIGHT_S:
                 return 'its height is not known: neither LOCAL_POSITION_NED nor a barometer comes'
             if self._flight.hover_throttle(now_s) is None:
                 return ('the throttle with which it hovers is not known: ATTITUDE_TARGET must '
@@ -154,7 +177,8 @@ class Takeover:
             return []
         out: list[f.Frame] = []
         self._step(start, now_s, out)
-        if now_s - self._sent_s >= PERIOD_S and self._start is not None:
+        silent = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S
+        if now_s - self._sent_s >= PERIOD_S and self._start is not None and not silent:
             self._sent_s = now_s
             out.append(self._set_point(start, now_s))
         return out
@@ -213,8 +237,10 @@ class Takeover:
         flight = self._flight
         wanted = self._wanted if self.phase is Phase.FLYING else 0.0
         added = [wanted if i == self._axis else 0.0 for i in range(3)]
-        level = (*self._lean(start, now_s), start.yaw)
-        rate = self.injection is Injection.RATE
+        ends = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S - LEVEL_S
+        lean = (0.0, 0.0) if ends else self._lean(start, now_s)
+        level = (*lean, start.yaw)
+        rate = self.injection is Injection.RATE and not ends
         reference: Vector3 = level
         if rate and flight.angles is not None:
             turn = self._differ(level, flight.angles, rate=False)
@@ -225,7 +251,7 @@ class Takeover:
         rates = total if rate else ZERO
         mask = RATE_MASK if rate else ATTITUDE_MASK
         return f.SetAttitudeTarget(int(1000 * now_s) % 2**32, mask, (w, x, y, z), rates,
-                                   self._thrust(start))
+                                   self._throttle if ends else self._thrust(start, now_s))
 
     def _lean(self, start: Guard, now_s: float) -> tuple[float, float]:
         """Roll and pitch, back to where it began; 0 where no place is known."""
@@ -241,11 +267,13 @@ class Takeover:
         roll, pitch = c * east - s * north, -(c * north + s * east)
         return (min(max(roll, -MOST_LEAN), MOST_LEAN), min(max(pitch, -MOST_LEAN), MOST_LEAN))
 
-    def _thrust(self, start: Guard) -> float:
-        flight = self._flight
-        if self._means.climb or start.height_m is None or flight.height_m is None:
+    def _thrust(self, start: Guard, now_s: float) -> float:
+        flight, off = self._flight, 0.0
+        if self._means.climb:
             return self._throttle
-        off = HEIGHT_GAIN * (start.height_m - flight.height_m) - CLIMB_GAIN * flight.climb_m_s
+        if (start.height_m is not None and flight.height_m is not None
+                and start.has_height(flight, now_s)):
+            off = HEIGHT_GAIN * (start.height_m - flight.height_m) - CLIMB_GAIN * flight.climb_m_s
         if flight.angles is not None:  # what leans lifts less
             upright = math.cos(flight.angles[0]) * math.cos(flight.angles[1])
             off += self._throttle * (1.0 / max(upright, 0.8) - 1.0)
