@@ -62,10 +62,11 @@ class Cockpit(Updated):
 
     def opened(self):
         super().opened()
-        self.connected.forget()
+        self.connected.doubt()
 
     def changed(self, aircraft):
         self.updates.use(aircraft.gains)
+        self.link.describe_again()
         known = self.connected.autopilot
         self.link.autopilot.also_hz = {} if known is None else known.kind.requested_hz
 
@@ -226,6 +227,32 @@ def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying
     assert line.updates.aircraft == 'px4_0000000000009999'
     assert line.updates.active
     assert not other.written
+
+
+@pytest.mark.parametrize(('gap_s', 'opened'), [(0.5, True), (4.0, False), (12.0, False)])
+def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, gap_s, opened):
+    """The mode and SID_* of an experiment, and the gains of a trial before it."""
+    line, p = flying('ardupilot'), P['ardupilot']
+    before, sound = line.controller.mode, dict(line.controller.parameters)
+    line.segment(signal='chirp', injection='control', **CHIRP)
+    line.excite(4.0, 0.0)
+    assert line.controller.mode != before
+    lose(line, gap_s, opened=opened)
+    assert line.controller.mode == before
+    line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+    line.fly(3.0)
+    assert line.controller.parameters[p] != sound[p]
+    lose(line, max(gap_s, 1.5), opened=opened)
+    assert line.controller.parameters == sound
+
+
+def lose(line, gap_s, *, opened):
+    line.up.cut = line.down.cut = True
+    line.fly(gap_s)
+    line.up.cut = line.down.cut = False
+    if opened:
+        line.opened()
+    line.fly(8.0)
 
 
 def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):

@@ -76,6 +76,9 @@ def test_the_way_back_leads_to_the_last_good_set_that_differs(folder):
     set_up = replace(sets[-1], number=6, gains={**sets[-1].gains, 'accel.offset_x': 0.1})
     earlier = [replace(one, gains={**one.gains, 'accel.offset_x': 0.0}) for one in sets]
     assert way_back([*earlier, set_up]) == (earlier[0], {KP: 0.07, ANGLE: 3.0})
+    limited = [replace(one, gains={**one.gains, 'roll.rate.output_limit': limit})
+               for one, limit in zip(sets, (0.3, 0.3, 0.3, 0.2, 0.2), strict=True)]
+    assert way_back(limited, 1)[1] == {KP: 0.07, ANGLE: 3.0, 'roll.rate.output_limit': 0.3}
     with pytest.raises(BadInputError, match=r'must be 1\.\.5'):
         way_back(sets, 9)
     with pytest.raises(BadInputError, match='no earlier good set'):

@@ -79,8 +79,7 @@ class MotorTest:
         if armed:
             raise RefusedError('it is armed: disarm it; motors are tested on the ground')
         if not self._enable.held(now_s):
-            raise RefusedError('hold the enable switch (/operator/enable): the motor stops when '
-                               'you release it')
+            raise RefusedError('hold /operator/enable: the motor stops when you release it')
         self._reply, self._motor, self._throttle = reply, motor, throttle
         self._begun_s, self._until_s, self._accepted = now_s, now_s + duration_s, False
         return self._send(now_s)

@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -125,17 +126,20 @@ def way_back(sets: Sequence[GainSet], number: int | None = None,
         if not 1 <= number <= len(sets):
             raise BadInputError('--to', f'must be 1..{len(sets)}', number, 'see quad-tune history')
         chosen = sets[number - 1]
-        return chosen, _of_updates(changed(now, chosen.gains))
+        return chosen, _of_updates(changed(now, chosen.gains), sets)
     for one in reversed(sets[:-1]):
-        difference = _of_updates(changed(now, one.gains))
+        difference = _of_updates(changed(now, one.gains), sets)
         if one.outcome in GOOD and difference:
             return one, difference
     raise BadInputError(where, 'holds no earlier good set that differs from the present one',
                         None, 'quad-tune history shows all; --to N takes any of them')
 
 
-def _of_updates(gains: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in gains.items() if name in DEFAULT_BOUNDS}
+def _of_updates(gains: Mapping[str, float], sets: Sequence[GainSet]) -> dict[str, float]:
+    """Those that an update may change, by default or because one has on this aircraft."""
+    may = {name for before, one in pairwise(sets) if one.update
+           for name in changed(before.gains, one.gains)} | DEFAULT_BOUNDS.keys()
+    return {name: value for name, value in gains.items() if name in may}
 
 
 def _entry(line: str) -> dict[str, Any] | None:

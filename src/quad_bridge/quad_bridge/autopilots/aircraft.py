@@ -26,7 +26,7 @@ REQUEST_MESSAGE, VERSION = 512, 148
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 SWAP_S = 10.0  # silent for so long, it may be another one that is heard then
-RATE_CHANGE = 1.2  # by which the rate of the attitudes must change to count as another
+RATE_CHANGE = 1.1  # by which the rate of the attitudes must change to count as another
 OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
 
 
@@ -48,6 +48,8 @@ class AutopilotAircraft(Aircraft):
         self._ways = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
         self.craft: Craft | None = None
         self.version: f.Version | None = None
+        self.is_another = False
+        """Whether another aircraft has answered in its place."""
         self._allow = {Ability.GAINS: allow_gains, Ability.EXCITE: allow_excitation}
         self.system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
@@ -151,24 +153,30 @@ class AutopilotAircraft(Aircraft):
             self.takeover.target(frame)
         elif isinstance(frame, f.ParamValue) and self.system_id is not None:
             self.system_id.take(frame)
-        elif isinstance(frame, f.Version) and self.version is None:
-            self.version = frame
+        elif isinstance(frame, f.Version) and not (self.gains.sure and self.version):
             uid = bytes(frame.uid2).hex() if any(frame.uid2) else f'{frame.uid:016x}'
-            self._identify(uid if int(uid, 16) else '')
+            name = self._name(uid if int(uid, 16) else '')
+            self.is_another = self.version is not None and name != self.gains.aircraft
+            if not self.is_another:
+                self.version = frame
+                self.gains.identify(name)
         elif isinstance(frame, f.Heartbeat):
             self._ask_s = min(self._ask_s, now_s)
 
-    def _identify(self, uid: str) -> None:
-        name = f'{self.kind.name.lower()}_{uid or self.system}'
-        self.gains.identify(name)
+    def _name(self, uid: str) -> str:
+        return f'{self.kind.name.lower()}_{uid or self.system}'
+
+    def doubt(self) -> None:
+        """Ask again which aircraft it is: on the same line another may have taken its place."""
+        self.gains.sure, self._requests, self._ask_s = False, 0, -math.inf
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""
         out = [frame for way in self._ways for frame in way.poll(now_s)]
-        if not self.gains.aircraft and now_s - self._ask_s > AGAIN_S:
+        if not self.gains.sure and now_s - self._ask_s > AGAIN_S:
             self._ask_s, self._requests = now_s, self._requests + 1
-            if self._requests > REQUESTS:
-                self._identify('')
+            if self._requests > REQUESTS and self.version is None:
+                self.gains.identify(self._name(''))
             else:
                 out.append(f.Command(REQUEST_MESSAGE, (float(VERSION),)))
         return out
@@ -219,28 +227,36 @@ class Connected:
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
         if now_s - self._heard_s > SWAP_S:
-            self.forget()
+            self.doubt()
         self._heard_s = now_s
         if isinstance(frame, f.Heartbeat):
-            self._meet(frame)
-        if self.autopilot is not None:
+            self._meet(BY_NUMBER.get(frame.autopilot), frame.system)
+        if self.autopilot is None:
+            return
+        self.autopilot.take(frame, now_s)
+        if self.autopilot.is_another:
+            self._use(self.autopilot.kind, self.autopilot.system)
             self.autopilot.take(frame, now_s)
 
-    def forget(self) -> None:
-        """Forget the aircraft, since another may follow; an unfinished trial is on the disk."""
+    def doubt(self) -> None:
+        """Write nothing more until the aircraft has said again which one it is.
+
+        What it flies goes on, and the way back of a trial waits for the answer; of another
+        aircraft's trial the disk knows.
+        """
+        if self.autopilot is not None:
+            self.autopilot.doubt()
+
+    def _meet(self, kind: Kind | None, system: int) -> None:
+        known = self.autopilot
+        if (known.kind, known.system) != (kind, system) if known is not None else kind is not None:
+            self._use(kind, system)
+
+    def _use(self, kind: Kind | None, system: int) -> None:
         if self.autopilot is not None:
             self.autopilot.abort()
-            self.autopilot, self.aircraft = None, self._quad
-            self.on_change(self.aircraft)
-
-    def _meet(self, beat: f.Heartbeat) -> None:
-        kind, known = BY_NUMBER.get(beat.autopilot), self.autopilot
-        if known is not None and (known.kind, known.system) == (kind, beat.system):
-            return
-        if known is None and kind is None:
-            return
         self.autopilot = None if kind is None else AutopilotAircraft(
-            kind, beat.system, now_s=self._now_s, **self._allow
+            kind, system, now_s=self._now_s, **self._allow
         )
         self.aircraft = self.autopilot or self._quad
         self.on_change(self.aircraft)

@@ -60,6 +60,8 @@ class ParameterGains:
         self.units: Callable[[Mapping[str, float]], Units | None] = lambda _: None
         """U per torque of roll, pitch, yaw by what is read; None while that is not known."""
         self.cycles_hz = 0.0
+        self.sure = False
+        """Whether it is the aircraft of this name; while it may be another, nothing is written."""
         self.refused = ''  # why no set is taken any more
         self.keep: Keep = lambda _, done: done(False)
         self._table, self._bytewise = table, bytewise
@@ -84,6 +86,8 @@ class ParameterGains:
     @property
     def busy(self) -> str:
         """The current activity; empty where a set may be written."""
+        if self.state in AT_REST and not self.sure:
+            return 'it is being asked which aircraft it is'
         if self.state in AT_REST and not self._recalled:
             return "the aircraft's files are being read"
         if self.state is State.READY and not self.cycles_hz:  # at which a trial is watched
@@ -105,7 +109,7 @@ class ParameterGains:
         if self.aircraft not in {'', aircraft}:
             self._recalled = False
             self._good = self._good if self._good_of == aircraft else {}
-        self.aircraft = aircraft
+        self.aircraft, self.sure = aircraft, True
 
     def want(self, *names: str) -> None:
         """Read these parameters too."""
@@ -183,7 +187,8 @@ class ParameterGains:
             return None
         if self.state is State.ON_TRIAL:
             return self._look(now_s)
-        if self.state not in {State.WRITING, State.REVERTING} or now_s < self._due_s:
+        if self.state not in {State.WRITING, State.REVERTING} or now_s < self._due_s \
+                or not self.sure:
             return None
         if self._tries >= TRIES and self.state is State.WRITING:
             self._unanswered()

@@ -67,7 +67,7 @@ class Cycles:
         """Raise RefusedError where the watch cannot work on this link or at this `rate_hz`."""
         if self.slow:
             raise RefusedError(self.slow)
-        if not MIN_HZ <= rate_hz <= MAX_HZ:
+        if not MIN_HZ / 1.2 <= rate_hz <= MAX_HZ:  # as where it counts as slow
             words = f'the watch works at {MIN_HZ:g} to {MAX_HZ:g} Hz: found {rate_hz:g}'
             raise RefusedError(f'loop.rate_hz: {words}')
 

@@ -472,8 +472,10 @@ class GainUpdates:
 
     def _take_rate(self) -> None:
         """Watch at the rate of the cycles; never within an update, unknown to a new one."""
+        if self.state is not State.IDLE or not self.active:
+            return
         rate_hz = self.protocol.cycles_hz or self.active.get('loop.rate_hz', gate.USUAL_HZ)
-        if rate_hz != self.rate_hz and self._update is None:
+        if rate_hz != self.rate_hz:
             self.rate_hz = self.polarity.rate_hz = rate_hz
             history = self.watch.known
             self.watch = GainWatch(min(max(rate_hz, MIN_HZ), MAX_HZ))

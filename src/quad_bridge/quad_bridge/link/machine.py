@@ -45,7 +45,6 @@ SYNC_NS, SOON_NS = 200_000_000, 40_000_000
 """Between TIMESYNC questions once the clock has converged, and before."""
 URGENT_NS = 20_000_000  # between questions while cycles wait for an answer
 NO_CYCLE_NS = 1_000_000_000  # an autopilot without a QUAD_CYCLE for so long sends none
-SWAP_NS = 10_000_000_000  # silent for so long, it may be another aircraft that is heard then
 RELEASE_NS = 3_000_000_000  # silent for so long, an aircraft may be followed by another one
 CYCLE_OLD_NS, PEER_OLD_NS = 500_000_000, 2_500_000_000
 """Age above which a cycle, or without cycles a heartbeat, no longer counts."""
@@ -158,8 +157,6 @@ class Link:
         self.stamping.out = events
         frames = self.decoder.feed(data)
         if frames:
-            if self.peer is not None and now_ns - self._received_ns > SWAP_NS:
-                self._forget_autopilot()  # it may be another one that is heard now
             self._received_ns = now_ns
         for frame in frames:
             take = self._takes.get(type(frame))
@@ -252,6 +249,10 @@ class Link:
         for request in self.parameters.due(now_ns):
             self.send(request)
 
+    def describe_again(self) -> None:
+        """Read an autopilot's parameters anew, since it is another one."""
+        self.parameters, self._described = None, False
+
     def _forget_autopilot(self) -> None:
         self.peer, self.parameters, self._described = None, None, False
         self.autopilot.clear()
@@ -302,8 +303,6 @@ class Link:
 
     def _heartbeat(self, frame: f.Heartbeat, now_ns: int) -> None:
         if frame.autopilot != NO_AUTOPILOT:
-            if self.peer is not None and self.peer.system != frame.system:
-                self._forget_autopilot()
             if self.peer is None:
                 self._peer_since_ns = now_ns
             self.peer, self._peer_ns = frame, now_ns

@@ -227,7 +227,7 @@ class SerialBridge(ManagedNode):
             self._report.opened()
             self._gains.restarted()
             self._gains.disturb('the port was opened again')
-            self._connected.forget()
+            self._connected.doubt()
             self._time.opened(*self._epoch())
         path = self._port.status.path
         speed = '' if '://' in path else f' at {self._settings.baud} baud'
@@ -286,6 +286,7 @@ class SerialBridge(ManagedNode):
     def _on_aircraft(self, aircraft: Aircraft) -> None:
         """Another aircraft is on the line, by its heartbeat."""
         self._gains.use(aircraft.gains)
+        self._link.describe_again()
         autopilot = self._connected.autopilot
         self._link.autopilot.also_hz = autopilot.kind.requested_hz if autopilot is not None else {}
 
@@ -377,12 +378,15 @@ class SerialBridge(ManagedNode):
 
     def _on_tick(self) -> None:
         with self._lock:
-            aircraft = self._gains.aircraft
+            aircraft, protocol = self._gains.aircraft, self._gains.protocol
         record = self._history.open(aircraft)
         with self._lock:
             now_ns = clock().now_ns()
-            if record is not None and not self._history.leave(self._gains.aircraft):
+            same = self._gains.aircraft == aircraft and self._gains.protocol is protocol
+            if record is not None and same:
                 self._gains.know(record)
+            elif record is not None:
+                self._history.leave('')  # another has come while its files were read
             self._link.tick(now_ns)
             self._gains.tick(clock().now_s())
             self._poll_gains(now_ns)
