@@ -229,6 +229,37 @@ def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying
     assert not other.written
 
 
+def mute(controller):
+    """One that does not know the request for its version, and so never says which one it is."""
+    answer = controller._command
+    controller._command = lambda command: 3 if command.command == 512 else answer(command)
+    return controller
+
+
+@both
+@pytest.mark.parametrize(('first', 'second'), [(mute, lambda it: it), (lambda it: it, mute)])
+def test_nothing_is_written_to_one_that_may_be_another(tmp_path, name, first, second):
+    """On a radio, and after one of the two has been silent about itself."""
+    line = Cockpit(name, tmp_path, aircraft=first(Flying(KINDS[name])))
+    line.fly(9.0)
+    mine, before = line.controller, line.controller.parameters[P[name]]
+    line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+    line.fly(3.0)
+    line.controller = other = second(Flying(KINDS[name], uid=0x9999))
+    lose(line, 11.0, opened=False)
+    for parameter in before_good(mine, other, name):  # as a ground station that reads them
+        line.hear(other.pack(other.value(parameter)))
+    line.fly(1.0)
+    assert not other.written
+    assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
+
+
+def before_good(mine, other, name):
+    """The gains of the trial, which the other one has as the first had them."""
+    other.parameters[P[name]] = mine.parameters[P[name]] / 1.4
+    return [P[name]]
+
+
 @pytest.mark.parametrize(('gap_s', 'opened'), [(0.5, True), (4.0, False), (12.0, False)])
 def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, gap_s, opened):
     """The mode and SID_* of an experiment, and the gains of a trial before it."""

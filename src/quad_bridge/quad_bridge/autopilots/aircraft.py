@@ -54,7 +54,7 @@ class AutopilotAircraft(Aircraft):
         self.system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
         self._refusal = ''  # why the running segment is not flown
-        self._requests, self._ask_s = 0, -math.inf
+        self._requests, self._ask_s, self._doubt_s = 0, -math.inf, -math.inf
         self.last_cycle: f.Cycle | None = None
 
     @property
@@ -87,6 +87,8 @@ class AutopilotAircraft(Aircraft):
     def _pilot_fault(self) -> str:
         """Why nothing may begin now: a fresh line, a pilot's mode, hover."""
         now_s, flight = self._now_s(), self.flight
+        if not self.gains.sure:
+            return 'it is being asked which aircraft it is'
         fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
         if fault:
             return fault
@@ -153,15 +155,21 @@ class AutopilotAircraft(Aircraft):
             self.takeover.target(frame)
         elif isinstance(frame, f.ParamValue) and self.system_id is not None:
             self.system_id.take(frame)
-        elif isinstance(frame, f.Version) and not (self.gains.sure and self.version):
-            uid = bytes(frame.uid2).hex() if any(frame.uid2) else f'{frame.uid:016x}'
-            name = self._name(uid if int(uid, 16) else '')
-            self.is_another = self.version is not None and name != self.gains.aircraft
-            if not self.is_another:
-                self.version = frame
-                self.gains.identify(name)
+        elif isinstance(frame, f.Version):
+            self._hear(frame)
         elif isinstance(frame, f.Heartbeat):
             self._ask_s = min(self._ask_s, now_s)
+
+    def _hear(self, version: f.Version) -> None:
+        """Take who it says it is; where a name is sure already, the version alone."""
+        if not self.gains.sure:
+            uid = bytes(version.uid2).hex() if any(version.uid2) else f'{version.uid:016x}'
+            name = self._name(uid if int(uid, 16) else '')
+            self.is_another = self.gains.aircraft not in {'', name}
+            if self.is_another:
+                return
+            self.gains.identify(name)
+        self.version = version
 
     def _name(self, uid: str) -> str:
         return f'{self.kind.name.lower()}_{uid or self.system}'
@@ -169,14 +177,17 @@ class AutopilotAircraft(Aircraft):
     def doubt(self) -> None:
         """Ask again which aircraft it is: on the same line another may have taken its place."""
         self.gains.sure, self._requests, self._ask_s = False, 0, -math.inf
+        self._doubt_s = self._now_s()
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""
-        out = [frame for way in self._ways for frame in way.poll(now_s)]
-        if not self.gains.sure and now_s - self._ask_s > AGAIN_S:
+        out = [frame for way in self._ways for frame in way.poll(now_s)
+               if self.gains.sure or not isinstance(frame, f.ParamSet)]
+        heard = self.flight.beat_s >= self._doubt_s
+        if not self.gains.sure and heard and now_s - self._ask_s > AGAIN_S:
             self._ask_s, self._requests = now_s, self._requests + 1
-            if self._requests > REQUESTS and self.version is None:
-                self.gains.identify(self._name(''))
+            if self._requests > REQUESTS and self.gains.aircraft in {'', self._name('')}:
+                self.gains.identify(self._name(''))  # it never says
             else:
                 out.append(f.Command(REQUEST_MESSAGE, (float(VERSION),)))
         return out
@@ -228,6 +239,8 @@ class Connected:
         """Take a frame; a heartbeat says who it is."""
         if now_s - self._heard_s > SWAP_S:
             self.doubt()
+            if self.autopilot is not None:
+                self.autopilot.gains.restart()  # what is known of its parameters may be another's
         self._heard_s = now_s
         if isinstance(frame, f.Heartbeat):
             self._meet(BY_NUMBER.get(frame.autopilot), frame.system)

@@ -30,6 +30,7 @@ THRUST_S = 2.0  # over which the hover throttle is averaged
 REFERENCE_S = 1.0  # after which what the loops follow is not known any more
 STICK = 0.15  # share of its way by which a stick has been moved
 POSITION, BAROMETER = 'LOCAL_POSITION_NED', 'the barometer'
+GAP_S = 1.0  # without an attitude, behind which rate and calm are measured anew
 HEIGHT_S = 1.0  # after which a height is not known any more
 METRES_PER_HPA = 8.43  # of the standard atmosphere at sea level
 BARO_S = 0.5  # time constant of the pressure: its noise is a metre, a climb lasts seconds
@@ -96,6 +97,9 @@ class FlightState:
         """Take an attitude with its rates."""
         if frame.attitude is None or frame.gyro is None:
             return
+        if now_s - self.attitude_s > GAP_S:
+            self.calm_since_s = math.inf
+            self._arrivals.clear()
         self.angles, self.rates, self.attitude_s = frame.attitude, frame.gyro, now_s
         self.cycles += 1
         self._arrivals.append(now_s)

@@ -285,6 +285,8 @@ class ParameterGains:
 
     def _answered(self, name: str, value: float) -> None:
         """Take the value of a parameter that is still to be written."""
+        if not self.sure:
+            return  # another aircraft's, perhaps
         if value != self._queue[name]:
             if next(iter(self._queue)) == name and self._tries:
                 self._shown, self._due_s = value, -math.inf  # try again at once

@@ -250,8 +250,11 @@ class Link:
             self.send(request)
 
     def describe_again(self) -> None:
-        """Read an autopilot's parameters anew, since it is another one."""
+        """Learn an autopilot's messages and parameters anew, since it is another one."""
         self.parameters, self._described = None, False
+        generic = self.autopilot.generic
+        self.autopilot.clear()
+        self.autopilot.generic = generic
 
     def _forget_autopilot(self) -> None:
         self.peer, self.parameters, self._described = None, None, False
