@@ -103,12 +103,17 @@ def unfinished(place: Path) -> Iterator[Path]:
         yield Path(folder.name)
 
 
+def encoded(content: str | bytes) -> bytes:
+    """The bytes of a file."""
+    return escaped(content).encode() if isinstance(content, str) else content
+
+
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that it appears only when it is complete; raises BadInputError."""
     target = Path(path)
     try:
         with unfinished(target.parent) as folder, (folder / target.name).open('wb') as stream:
-            stream.write(escaped(content).encode() if isinstance(content, str) else content)
+            stream.write(encoded(content))
             stream.flush()
             os.fsync(stream.fileno())
             (folder / target.name).replace(target)

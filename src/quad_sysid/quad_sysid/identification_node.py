@@ -65,7 +65,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self.declare_parameter('bag', '', ParameterDescriptor(description=words))
         self._wanted = _wanted(self)
         self._bag = ''
-        self._begun: dict[str, None] = {}  # recordings that the logger began since this node did
+        self._begun: deque[str] = deque(maxlen=MAX_BAGS)
+        """Recordings that the logger began since this node did, the latest."""
         self._unsure: dict[str, str] = {}  # the latest, while its publisher has no name yet
         self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
@@ -96,8 +97,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
         if state == 'recording' and not earlier:
             if not stranger:
-                self._begun[bag] = None
-                self._begun = dict([*self._begun.items()][-MAX_BAGS:])
+                self._begun.append(bag)
             elif all('UNKNOWN' in one for one in self._said_by('/logger/bag')):
                 self._unsure = {bag: event.node}
         if state != 'complete' or bag in self._seen:
@@ -298,7 +298,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _report(self) -> None:
         publishers = self._said_by('/logger/bag') if self._unsure else []
         if any('UNKNOWN' not in one for one in publishers):
-            self._begun.update((bag, None) for bag, node in self._unsure.items()
+            self._begun.extend(bag for bag, node in self._unsure.items()
                                if not self._stranger(node))
             self._unsure = {}
         text, values = self._values.get('reason', self._values['state']), self._values

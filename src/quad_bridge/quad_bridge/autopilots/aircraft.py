@@ -11,7 +11,7 @@ from typing import Any
 
 from quad_bridge.aircraft import INJECTIONS, STILL, Ability, Aircraft, Quad
 from quad_bridge.autopilots.flight import FlightState
-from quad_bridge.autopilots.gains import ParameterGains
+from quad_bridge.autopilots.gains import ASKED, ParameterGains
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
 from quad_bridge.autopilots.system_id import NAMES as SID_NAMES
 from quad_bridge.autopilots.system_id import SystemId, sid_parameters
@@ -88,7 +88,7 @@ class AutopilotAircraft(Aircraft):
         """Why nothing may begin now: a fresh line, a pilot's mode, hover."""
         now_s, flight = self._now_s(), self.flight
         if not self.gains.sure:
-            return 'it is being asked which aircraft it is'
+            return ASKED
         fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)
         if fault:
             return fault
@@ -237,10 +237,9 @@ class Connected:
 
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
-        if now_s - self._heard_s > SWAP_S:
-            self.doubt()
-            if self.autopilot is not None:
-                self.autopilot.gains.restart()  # what is known of its parameters may be another's
+        if self.autopilot is not None and now_s - self._heard_s > SWAP_S:
+            self.autopilot.doubt()
+            self.autopilot.gains.restart()  # what is known of its parameters may be another's
         self._heard_s = now_s
         if isinstance(frame, f.Heartbeat):
             self._meet(BY_NUMBER.get(frame.autopilot), frame.system)

@@ -42,6 +42,7 @@ class State(Enum):
 
 
 AT_REST = (State.READY, State.ON_TRIAL)
+ASKED = 'it is being asked which aircraft it is'  # and nothing is written to it meanwhile
 
 
 class ParameterGains:
@@ -87,7 +88,7 @@ class ParameterGains:
     def busy(self) -> str:
         """The current activity; empty where a set may be written."""
         if self.state in AT_REST and not self.sure:
-            return 'it is being asked which aircraft it is'
+            return ASKED
         if self.state in AT_REST and not self._recalled:
             return "the aircraft's files are being read"
         if self.state is State.READY and not self.cycles_hz:  # at which a trial is watched

@@ -44,6 +44,10 @@ class Row:
     multiplied: bool = False
     """Whether the table's `multiplier` acts on it."""
 
+    def span(self, axis: int) -> Limits | None:
+        """Bounds of the parameter of an axis, by its number."""
+        return (self.yaw_limits if axis == 2 else None) or self.limits
+
     def name(self, axis: str) -> str:
         """The parameter's name; `axis` as the autopilot calls it."""
         return self.theirs.format(axis, first=axis[:1])
@@ -93,8 +97,7 @@ class Table:
     @property
     def ranges(self) -> dict[str, Limits]:
         """What each parameter may be, in the autopilot's own list."""
-        return {theirs: span for _, i, row, theirs in self.of_axes()
-                if (span := (row.yaw_limits if i == 2 else None) or row.limits)}
+        return {theirs: span for _, i, row, theirs in self.of_axes() if (span := row.span(i))}
 
     @property
     def in_common(self) -> frozenset[str]:
@@ -129,7 +132,7 @@ class Table:
         """Lowest and highest value, ours, of each gain of an axis that can be written."""
         limits = {}
         for ours, i, row, _ in self.of_axes():
-            span = (row.yaw_limits if i == 2 else None) or row.limits
+            span = row.span(i)
             if i == axis and span is not None:
                 factor = self.factor(row, axis, {}, units)
                 limits[ours] = span[0] * factor, span[1] * factor
@@ -151,7 +154,7 @@ class Table:
             axis, row, theirs = entry
             factor = self.factor(row, axis, known, units)
             new = value / factor if factor else math.nan
-            low, high = (row.yaw_limits if axis == 2 else None) or row.limits or (0.0, 0.0)
+            low, high = row.span(axis) or (0.0, 0.0)
             slack = 1e-6 * high
             if not low - slack <= new <= high + slack:
                 raise UnfitError(

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.files import escaped, make_folder, write_whole
+from quad_sysid.files import encoded, make_folder, write_whole
 
 ENDS = 65_536
 """Bytes at the start and at the end of a file by which its content is known."""
@@ -95,9 +95,7 @@ class Place:
         try:
             self.store.makedirs(PurePosixPath(self._in_store(name)).parent.as_posix(),
                                 exist_ok=True)
-            self.store.pipe_file(self._in_store(name),
-                                 escaped(content).encode() if isinstance(content, str)
-                                 else content)
+            self.store.pipe_file(self._in_store(name), encoded(content))
         except Exception as error:
             raise BadInputError(f'{self.address}/{name}', 'cannot be written',
                                 f'{type(error).__name__}: {error}',

@@ -311,9 +311,9 @@ def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1,
     z = np.linalg.eigvals(loops.a).ravel().astype(complex)
     s = np.log(z[np.abs(z) > 1e-6]) / dt
     s = s[(s.imag > grid[0]) & (s.imag < grid[-1]) & (np.abs(s.real) < LIGHT * np.abs(s))]
-    about, wide = s.imag[:, None] + np.abs(s.real)[:, None] * ABOUT, np.abs(s.real)[:, None]
-    order = np.argsort(about, axis=None)
-    near, widths, kept = about.ravel()[order], (wide + 0.0 * about).ravel()[order], [0.0]
+    about = s.imag[:, None] + np.abs(s.real)[:, None] * ABOUT
+    order, kept = np.argsort(about, axis=None), [0.0]
+    near, widths = about.ravel()[order], np.abs(s.real).repeat(ABOUT.size)[order]
     for omega, width in zip(near, widths, strict=True):  # of resonances side by side a few do
         if omega - kept[-1] > 0.1 * width and grid[0] < omega < grid[-1]:
             kept.append(omega)

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from quad_sysid.errors import BadInputError
+from quad_sysid.signals.guard import Limits
 from quad_sysid.signals.schedule import AMPLITUDES, MAX_DURATION_S, RAMP_S
 from quad_sysid.signals.waveforms import TAPS
 
@@ -102,9 +103,8 @@ class Design:
 
 def mount_line(mount: str) -> str:
     """The line of a schedule that says where it is flown, with what follows from that."""
-    what = {'rig': 'a stick beyond 10 % ends it; in free flight write hover',
-            'hover': 'a stick beyond 60 % ends it; on a rig write rig'}[mount]
-    return f'  mount: {mount}  # {what}'
+    other = {'rig': 'in free flight write hover', 'hover': 'on a rig write rig'}[mount]
+    return f'  mount: {mount}  # a stick beyond {Limits(mount).largest_stick:.0%} ends it; {other}'
 
 
 def parse_band(text: str) -> tuple[float, float]:

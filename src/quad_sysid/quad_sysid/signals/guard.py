@@ -38,6 +38,11 @@ class Limits:
     hover_deflection: float = 0.6
     abort_switch: bool = False
     """The pilot has an abort switch, which must be heard."""
+
+    @property
+    def largest_stick(self) -> float:
+        """Deflection beyond which a stick of roll, pitch or yaw ends it."""
+        return self.stick_dead_band if self.mount == 'rig' else self.hover_deflection
     abort_threshold: float = 0.5
     """The pilot's abort switch counts as thrown above this."""
 
@@ -128,7 +133,7 @@ def _attitude(limits: Limits, r: Readings, axis: str, yaw_start: float) -> Itera
 
 
 def _sticks_and_battery(limits: Limits, r: Readings) -> Iterator[Abort]:
-    allowed = limits.stick_dead_band if limits.mount == 'rig' else limits.hover_deflection
+    allowed = limits.largest_stick
     for name, stick in zip(AXES, r.sticks or (), strict=False):
         if not abs(stick) <= allowed:
             yield Abort(f'the {name} stick is at {100 * stick:.0f} %')
