@@ -414,6 +414,18 @@ def test_guided_nogps_is_not_flown_where_no_climb_is_half_throttle(flying):
         assert bool(words) == bool(refusal)
 
 
+@pytest.mark.parametrize(('kind', 'name', 'right', 'wrong'), [
+    ('px4', 'COM_OBL_RC_ACT', 0, 7), ('ardupilot', 'GUID_TIMEOUT', 3.0, 5.0)])
+def test_the_check_shows_what_becomes_of_an_aircraft_whose_bridge_dies(
+        flying, kind, name, right, wrong):
+    line = flying(kind)
+    for value, mark in ((right, '  ok'), (wrong, '  --')):
+        line.controller.parameters[name] = value
+        line.hear(line.controller.pack(line.controller.value(name)))
+        screen = lines(report(line.aircraft, line.link, line.now_ns, ''))
+        assert next(row for row in screen if name in row).startswith(mark)
+
+
 @pytest.mark.parametrize('begins_with', ['position', 'pressure'])
 def test_px4_whose_height_comes_from_elsewhere_flies_at_its_hover_throttle(flying, begins_with):
     """A position's height is not a barometer's. Without a position PX4 refuses Position mode."""

@@ -25,6 +25,7 @@ from quad_bridge.craft import Craft
 from quad_bridge.wire import frames as f
 
 DO_SET_MODE = 176
+STOPS_THE_MOTORS = (6, 7)  # values of COM_OBL_RC_ACT: terminate, disarm
 GUID_THROTTLE = 3  # bit of GUID_OPTIONS: a thrust is a throttle
 CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 OF_FLIGHT_HZ = {'ATTITUDE_TARGET': 50.0, 'LOCAL_POSITION_NED': 20.0, 'EXTENDED_SYS_STATE': 5.0}
@@ -91,6 +92,7 @@ def _px4_units(craft: Craft, known: Values) -> Units:
 def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     profile = int(known.get('SDLOG_PROFILE', 0))
     override = int(known.get('COM_RC_OVERRIDE', 1))
+    then = int(known.get('COM_OBL_RC_ACT', 0))
     advice = [
         (f'log SDLOG_PROFILE {profile}', profile & 24 == 24,
          'set SDLOG_PROFILE to 25 (bits 3 system identification, 4 high rate) and restart'),
@@ -102,6 +104,8 @@ def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
          'set COM_RC_OVERRIDE to 3: else the bridge alone gives the mode back'),
         (f'loss of OFFBOARD COM_OF_LOSS_T {known.get("COM_OF_LOSS_T", 1):g} s',
          known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
+        (f'and then COM_OBL_RC_ACT {then}', then not in STOPS_THE_MOTORS,
+         'set COM_OBL_RC_ACT to 0, Position: this value stops the motors in flight'),
     ]
     if version >= (1, 15):
         advice.append(("parameters in the processor's flash are stored once disarmed", True, ''))
@@ -113,7 +117,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     has_sid = 'SID_AXIS' in known
     blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
     learns = int(known.get('MOT_HOVER_LEARN', 0))
-    options = known.get('GUID_OPTIONS')
+    options, silent_s = known.get('GUID_OPTIONS'), known.get('GUID_TIMEOUT', 3.0)
     advice = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
@@ -125,6 +129,8 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
         ('GUID_OPTIONS ' + ('is not answered' if options is None else f'{options:g}'),
          options is not None and not int(options) & 1 << GUID_THROTTLE,
          f'clear bit {GUID_THROTTLE}: with it no climb in GUIDED_NOGPS is half throttle'),
+        (f'a silent bridge is noticed after GUID_TIMEOUT {silent_s:g} s', silent_s <= 3.0,
+         'set GUID_TIMEOUT to 3 or less: the last attitude is held for so long'),
         (f'MOT_HOVER_LEARN {learns}', not learns,
          'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]
@@ -140,7 +146,7 @@ KINDS = (
         units=_px4_units,
         requested_hz=OF_FLIGHT_HZ,
         reads=('SDLOG_PROFILE', 'MC_AIRMODE', 'MAV_FWDEXTSP', 'COM_RC_OVERRIDE', 'COM_OF_LOSS_T',
-               'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
+               'COM_OBL_RC_ACT', 'IMU_GYRO_RATEMAX', 'IMU_INTEG_RATE'),
         advice=_px4_advice, log_suffix='.ulg', fetches_armed=True, log_closes_s=2.0,
         logs_by_time=True, modes={1 << 16: 'Manual', 5 << 16: 'Acro'},
     ),
@@ -152,7 +158,7 @@ KINDS = (
         units=lambda craft, known: ardupilot_units(np.asarray(craft.mixer), known),
         requested_hz=OF_FLIGHT_HZ,
         reads=(*OF_MOTORS, 'MOT_HOVER_LEARN', 'LOG_BITMASK', 'FLTMODE_GCSBLOCK', 'SCHED_LOOP_RATE',
-               'SID_AXIS', 'GUID_OPTIONS'),
+               'SID_AXIS', 'GUID_OPTIONS', 'GUID_TIMEOUT'),
         advice=_ardupilot_advice, log_suffix='.bin', fetches_armed=False, log_closes_s=16.0,
         modes={25: 'SYSTEM ID', 9: 'Land', 6: 'RTL'}, system_id=True,
     ),
