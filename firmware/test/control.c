@@ -197,6 +197,30 @@ static void test_height(void)
     check(m.mode.landed && m.mode.throttle == 0.0f, "and stays there");
 }
 
+/* Whatever throttle it is switched on at, the stick has the height, and the ceiling holds. */
+static void test_height_from_any_throttle(void)
+{
+    static const float throttles[] = {1.0f, 0.8f, 0.1f};
+    for (size_t i = 0; i < sizeof throttles / sizeof throttles[0]; i++) {
+        const float stick = throttles[i], middle = fmaxf(0.2f, fminf(0.8f, stick));
+        mass m = {.force = 9.80665};
+        begin();
+        quad_height_init(&m.mode);
+        lift(&m, 0.36f, false, true, 250);
+        lift(&m, 0.45f, false, true, 250);
+        lift(&m, 0.25f, false, true, 125);
+        lift(&m, stick, false, true, 125);
+        lift(&m, stick, true, true, 1);
+        check(!m.mode.landed && m.mode.holding, "the mode begins in the air");
+        lift(&m, middle, true, true, 8000);
+        check(fabs(m.climb) < 0.2 && fabs(m.height - (double)m.mode.reference) < 0.5, "it holds its height");
+        lift(&m, 0.0f, true, true, 500);
+        check(m.climb < -0.3, "it sinks as the stick asks");
+        lift(&m, 1.0f, true, true, 15000);
+        check(fabs(m.height - 30.0) < 0.5, "and climbs to the ceiling");
+    }
+}
+
 int main(void)
 {
     test_no_integral_of_what_is_not_given();
@@ -204,6 +228,7 @@ int main(void)
     test_notch();
     test_turned_over();
     test_height();
+    test_height_from_any_throttle();
     printf("%d checks, %d failed\n", checks, failures);
     return failures > 0;
 }
