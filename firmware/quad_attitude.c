@@ -65,8 +65,8 @@ static void matrix_of(const float angle[3], float matrix[3][3])
     memcpy(matrix, turned, sizeof turned);
 }
 
-/* The same by the axes, where the angles' rates have a pole: beyond it a nose that goes on up is one that comes down
- * on the other side. */
+/* Turn by the axes, where the angles' own rates have a pole: beyond it a nose that goes on up is one that comes down on
+ * the other side. */
 static void turn_steep(float angle[3], const float rate[3], float period_s)
 {
     float m[3][3];

@@ -44,14 +44,15 @@ static uint8_t fifo[1024];
 static size_t fifo_count, popped, overflows;
 static uint64_t sampled_ns, converts_ns;
 static uint32_t converting;
-static bool gyro_gone, moves, flash_broken;
+static bool gyro_gone, moves, sways, flash_broken;
 
 static void sample(void)
 {
     for (; sampled_ns + 1000000 <= now_ns; sampled_ns += 1000000) {
         static const int16_t words[6] = {0, 0, 4096, 13, -26, 0};
         for (size_t i = 0; i < 6 && mpu[0x23] == 0x78 && fifo_count + 2 <= sizeof fifo; i++) {
-            const int16_t word = (int16_t)(words[i] + (moves && i == 3 ? 1000 : 0));
+            const double turn = sways ? 160.0 * sin(2e-9 * (double)sampled_ns) : 0.0; /* 2.4 deg/s, as in a hand */
+            const int16_t word = (int16_t)(words[i] + (moves && i == 3 ? 1000 : 0) + (i == 3 ? (int)turn : 0));
             fifo[fifo_count++] = (uint8_t)((uint16_t)word >> 8);
             fifo[fifo_count++] = (uint8_t)word;
         }
@@ -519,6 +520,10 @@ static void test_flight(void)
     CHECK(flight.barometer_is);
     CHECK(!flight.rested);
     moves = false; /* the jolt begins its second of rest anew */
+    sways = true;
+    fly_on(7.0);
+    CHECK(!flight.rested);
+    sways = false;
     fly_on(1.6);
     CHECK(flight.rested && fabsf(record->gyro[0]) < 1e-4f && fabsf(record->gyro[1]) < 1e-4f);
     CHECK(fabsf(flight.firmware.settings.mounting.gyro_bias[0] - level) < 1e-5f);
