@@ -504,7 +504,9 @@ static void test_faults_of_the_bus_in_flight(void)
     }
     CHECK(most_silent < 5);
     mpu[0x23] = mpu[0x6A] = 0;
+    hmc[2] = 1; /* the compass as well: it is idle, and its last measurement stays */
     fly_on(0.09);
+    CHECK(hmc[2] == 0);
     CHECK(flight.firmware.endpoint.armed && mpu[0x23] == 0x78 && flight.firmware.attitude.silent < 2);
     printf("%u faults of the bus, at most %u cycles without the gyro\n", BUS_BYTES, most_silent);
 }
@@ -547,7 +549,10 @@ static void test_flight(void)
     fly_on(0.3);
     CHECK(flight.gyro_is && flight.firmware.attitude.silent == 0);
     mpu[0x23] = mpu[0x6A] = 0; /* a dip of its supply: it answers, and measures nothing */
+    hmc[0] = 0x10;
+    hmc[2] = 1;
     fly_on(1.0);
+    CHECK(hmc[0] == 0x78 && hmc[2] == 0);
     CHECK(flight.gyro_is && mpu[0x23] == 0x78 && flight.firmware.attitude.silent == 0);
     const uint32_t cycles = flight.firmware.timing.cycles;
     CHECK(cycles > 800 && sent_cycles + 2 >= cycles);

@@ -96,6 +96,7 @@ static void measure(uint64_t now_us)
     }
     if (flight.silent >= SILENT) { /* it may have lost its settings; in flight it has QUAD_BLIND_S for that */
         flight.gyro_is = mpu6050_start(&board_bus);
+        flight.compass_is = flight.gyro_is && hmc5883_start(&board_bus); /* of one supply: it may be idle for ever */
         flight.silent = 0;
     }
     s->samples = 0;
