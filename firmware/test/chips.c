@@ -308,6 +308,11 @@ static void test_pwm(void)
     radio_take(&r, end, 2000);
     radio_take(&r, nobodys, 2000);
     check(radio_now(&r, 2000).pulse_us[2] == 1300.0f, "a glitch is no pulse");
+    const radio_edge rise = {20000, 3, true}, fall = {21000, 3, false}, spike = {21800, 3, false};
+    radio_take(&r, rise, 3000);
+    radio_take(&r, fall, 3000);
+    radio_take(&r, spike, 3000); /* so short that its rise was not seen */
+    check(radio_now(&r, 3000).pulse_us[3] == 1000.0f, "a pulse ends once");
     check(radio_now(&r, 1000 + RADIO_LOST_US + 2).failsafe, "a wire fell silent");
     for (uint8_t wire = 0; wire < 5; wire++) { /* all but the arming switch's */
         const radio_edge up = {0, wire, true}, down = {1500, wire, false};
@@ -361,6 +366,28 @@ static void test_arming(void)
     }
 }
 
+/* One frame that was heard wrong, on a wire with a spike or in bits without a checksum, is no pilot's will. */
+static void test_switch_heard_wrong(void)
+{
+    static quad_firmware f;
+    const quad_firmware_settings settings = quad_firmware_defaults();
+    quad_inputs in = {.sensors = {.samples = 1, .accel = {{0.0f, 0.0f, 9.81f}}}};
+    float motors[4];
+    in.sensors.slow.battery_v = 12.0f / 11.0f;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        in.receiver.pulse_us[i] = i == 2 || i > 3 ? 1000.0f : 1500.0f;
+    }
+    quad_firmware_init(&f, &settings);
+    for (uint64_t cycle = 0; cycle < 200; cycle++) {
+        const bool wrong = cycle >= 50 && cycle < 55, off = cycle < 10 || cycle >= 150;
+        in.receiver.pulse_us[2] = cycle > 20 ? 1500.0f : 1000.0f;
+        in.receiver.pulse_us[5] = wrong || off ? 1000.0f : 2000.0f;
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        const bool turns = (f.record.flags & QUAD_FLAG_ARMED) != 0;
+        check(cycle < 150 ? turns == (cycle >= 10) : cycle < 175 || !turns, "armed until it is switched off");
+    }
+}
+
 int main(void)
 {
     test_gyro();
@@ -371,6 +398,7 @@ int main(void)
     test_ppm_edges();
     test_pwm();
     test_arming();
+    test_switch_heard_wrong();
     float motors[4], given[4];
     const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
     check(quad_mix(none, 0.05f, motors, given) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
