@@ -96,8 +96,12 @@ static void heed_switch(quad_firmware *f)
     }
     const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
     const uint32_t patience = (uint32_t)(OFF_S / f->period_s);
-    if (on && !f->arm_switch) {
-        f->endpoint.armed = f->endpoint.armed || quad_endpoint_may_arm_now(&f->endpoint);
+    if (on && !f->arm_switch && !f->endpoint.armed) {
+        const char *why = quad_endpoint_unarmed(&f->endpoint);
+        f->endpoint.armed = why == NULL;
+        if (why != NULL) {
+            quad_put_text(&f->endpoint, 4, why);
+        }
     }
     f->arm_off = on ? 0 : f->arm_off + 1;
     if (f->arm_off == patience) {

@@ -388,6 +388,45 @@ static void test_switch_heard_wrong(void)
     }
 }
 
+/* Whether it has said so since it was asked last. */
+static bool said(quad_firmware *f, const char *text)
+{
+    static uint8_t bytes[QUAD_OUTBOX];
+    const size_t count = quad_firmware_send(f, bytes, sizeof bytes), length = strlen(text);
+    for (size_t i = 0; i + length <= count; i++) {
+        if (memcmp(&bytes[i], text, length) == 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* What it does not arm for is said; and it does not arm because the transmitter was switched on. */
+static void test_not_armed(void)
+{
+    static const char *const why[] = {"not armed: throttle above 5 %", "not armed: kill switch", "not armed: low battery",
+                                      "not armed: the gyro", "not armed: tilted"};
+    static quad_firmware f;
+    const quad_firmware_settings settings = quad_firmware_defaults();
+    float motors[4];
+    for (int k = 0; k < 7; k++) {
+        quad_inputs in = {.sensors = {.samples = k == 3 ? 0 : 1, .accel = {{0.0f, k == 4 ? 9.81f : 0.0f, 9.81f}}}};
+        in.sensors.slow.battery_v = (k == 2 ? 9.0f : 12.0f) / 11.0f;
+        quad_firmware_init(&f, &settings);
+        for (uint64_t cycle = 0; cycle < 60; cycle++) {
+            for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+                const bool on = (i == 4 && k == 1) || (i == 5 && cycle >= 40);
+                in.receiver.pulse_us[i] = i < 4 && i != 2 ? 1500.0f : on ? 2000.0f : k == 0 && i == 2 ? 1100.0f : 1000.0f;
+            }
+            in.receiver.failsafe = k == 6 && cycle > 20 && cycle < 50;
+            check(cycle != 40 || !said(&f, "not armed"), "nobody wants to arm it yet");
+            quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        }
+        check(f.endpoint.armed == (k == 5), "armed where nothing forbids it");
+        check(k > 4 || said(&f, why[k]), "and what does is said");
+    }
+}
+
 int main(void)
 {
     test_gyro();
@@ -399,6 +438,7 @@ int main(void)
     test_pwm();
     test_arming();
     test_switch_heard_wrong();
+    test_not_armed();
     float motors[4], given[4];
     const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
     check(quad_mix(none, 0.05f, motors, given) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");
