@@ -560,6 +560,30 @@ static void test_flight(void)
     printf("%u cycles flown, %zu sent\n", cycles, sent_cycles);
 }
 
+/* The cycle has read its chips for 2 ms before it hears what has come since it began. */
+static void test_bytes_that_come_while_chips_are_read(void)
+{
+    static serial_radio r;
+    static const uint8_t sbus[25] = {0x0F};
+    serial_radio_start(&r, SERIAL_SBUS);
+    for (size_t frame = 0; frame < 10; frame++) {
+        now_ns += 6000000;
+        const uint64_t began_us = board_now_us();
+        for (size_t i = 0; i < sizeof sbus; i++) {
+            if (i == 18) {
+                receiver_hear(&r, began_us);
+            }
+            now_ns += 80000; /* and what the interrupt's access takes */
+            R(UART5->SR) = USART_SR_RXNE;
+            R(UART5->DR) = sbus[i];
+            receiver_interrupt();
+            settle();
+        }
+        receiver_hear(&r, board_now_us());
+    }
+    CHECK(r.frames == 10 && r.bad == 0);
+}
+
 static void test_gains_outlive_the_power(void)
 {
     float found[QUAD_PARAMETERS];
@@ -619,6 +643,7 @@ int main(void)
     open_registers();
     power();
     test_flight();
+    test_bytes_that_come_while_chips_are_read();
     test_gains_outlive_the_power();
     test_a_broken_flash_is_told_of_once();
     test_cut_at_every_access();
