@@ -81,8 +81,8 @@ static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t n
     }
 }
 
-/* The pilot's switch: on arms where the throttle is low, off disarms whatever flies, but not by one frame that was heard
- * wrong: pulses have no checksum, nor has SBUS. */
+/* The pilot's switch: on arms where the throttle is low, off disarms whatever flies, but not by one frame that was
+ * heard wrong: pulses have no checksum, nor has SBUS. */
 static void heed_switch(quad_firmware *f)
 {
     const size_t channel = quad_setup_channel(f->endpoint.gains.active, QUAD_RECEIVER_ARM_CHANNEL);

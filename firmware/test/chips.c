@@ -410,14 +410,16 @@ static void test_not_armed(void)
     const quad_firmware_settings settings = quad_firmware_defaults();
     float motors[4];
     for (int k = 0; k < 7; k++) {
-        quad_inputs in = {.sensors = {.samples = k == 3 ? 0 : 1, .accel = {{0.0f, k == 4 ? 9.81f : 0.0f, 9.81f}}}};
+        quad_inputs in = {.sensors = {.samples = k == 3 ? 0 : 1, .accel = {{0.0f, 0.0f, 9.81f}}}};
+        in.sensors.accel[0][1] = k == 4 ? 9.81f : 0.0f;
         in.sensors.slow.battery_v = (k == 2 ? 9.0f : 12.0f) / 11.0f;
         quad_firmware_init(&f, &settings);
         for (uint64_t cycle = 0; cycle < 60; cycle++) {
             for (size_t i = 0; i < QUAD_CHANNELS; i++) {
                 const bool on = (i == 4 && k == 1) || (i == 5 && cycle >= 40);
-                in.receiver.pulse_us[i] = i < 4 && i != 2 ? 1500.0f : on ? 2000.0f : k == 0 && i == 2 ? 1100.0f : 1000.0f;
+                in.receiver.pulse_us[i] = i < 4 && i != 2 ? 1500.0f : on ? 2000.0f : 1000.0f;
             }
+            in.receiver.pulse_us[2] = k == 0 ? 1100.0f : 1000.0f;
             in.receiver.failsafe = k == 6 && cycle > 20 && cycle < 50;
             check(cycle != 40 || !said(&f, "not armed"), "nobody wants to arm it yet");
             quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
