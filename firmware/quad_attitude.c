@@ -11,6 +11,7 @@
 #define LARGEST_GYRO 70.0f   /* rad/s */
 #define LARGEST_ACCEL 400.0f /* m/s^2 */
 #define LARGEST_MAG 20.0f    /* gauss */
+#define STEEP 0.5f /* cosine of a pitch of 60 deg */
 
 float quad_wrapped(float angle)
 {
@@ -53,10 +54,41 @@ static float heading(const float mag[3], float roll, float pitch, float declinat
     return declination - atan2f(y, x);
 }
 
+/* Forward, right and down of what is turned by roll, pitch, yaw: the columns, in the axes it is turned in. */
+static void matrix_of(const float angle[3], float matrix[3][3])
+{
+    const float sr = sinf(angle[0]), cr = cosf(angle[0]), sp = sinf(angle[1]), cp = cosf(angle[1]);
+    const float sy = sinf(angle[2]), cy = cosf(angle[2]);
+    const float turned[3][3] = {{cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr},
+                                {sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr},
+                                {-sp, cp * sr, cp * cr}};
+    memcpy(matrix, turned, sizeof turned);
+}
+
+/* Turn by the axes, where the angles' own rates have a pole: beyond it a nose that goes on up is one that comes down on
+ * the other side. */
+static void turn_steep(float angle[3], const float rate[3], float period_s)
+{
+    float m[3][3];
+    matrix_of(angle, m);
+    for (size_t i = 0; i < 3; i++) {
+        const float x = m[i][0], y = m[i][1], z = m[i][2];
+        m[i][0] += period_s * (y * rate[2] - z * rate[1]);
+        m[i][1] += period_s * (z * rate[0] - x * rate[2]);
+        m[i][2] += period_s * (x * rate[1] - y * rate[0]);
+    }
+    angle[0] = atan2f(m[2][1], m[2][2]);
+    angle[1] = atan2f(-m[2][0], sqrtf(m[2][1] * m[2][1] + m[2][2] * m[2][2]));
+    angle[2] = atan2f(m[1][0], m[0][0]);
+}
+
 static void turn(float angle[3], const float rate[3], float period_s)
 {
-    const float sr = sinf(angle[0]), cr = cosf(angle[0]);
-    const float cp = fmaxf(0.1f, cosf(angle[1]));
+    const float sr = sinf(angle[0]), cr = cosf(angle[0]), cp = cosf(angle[1]);
+    if (cp < STEEP) {
+        turn_steep(angle, rate, period_s);
+        return;
+    }
     const float yaw_rate = (rate[1] * sr + rate[2] * cr) / cp;
     angle[0] += period_s * (rate[0] + sinf(angle[1]) * yaw_rate);
     angle[1] += period_s * (rate[1] * cr - rate[2] * sr);
@@ -86,12 +118,7 @@ static void tune_turn(quad_attitude *a, const float *gains)
         return;
     }
     memcpy(a->turned, angle, sizeof a->turned);
-    const float sr = sinf(angle[0]), cr = cosf(angle[0]), sp = sinf(angle[1]), cp = cosf(angle[1]);
-    const float sy = sinf(angle[2]), cy = cosf(angle[2]);
-    const float matrix[3][3] = {{cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr},
-                                {sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr},
-                                {-sp, cp * sr, cp * cr}};
-    memcpy(a->turn, matrix, sizeof matrix);
+    matrix_of(angle, a->turn);
 }
 
 static void to_body(const quad_attitude *a, const float board[3], float body[3])

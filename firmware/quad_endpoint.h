@@ -128,8 +128,8 @@ void quad_endpoint_test_motor(const quad_endpoint *e, quad_cycle *record);
 /* Whether nothing forbids to begin a motor's test: at rest on the ground, disarmed, the pilot's switches heard. */
 bool quad_endpoint_may_test_now(const quad_endpoint *e);
 
-/* Whether the last cycle knew of nothing that forbids arming. */
-bool quad_endpoint_may_arm_now(const quad_endpoint *e);
+/* What the last cycle knew of that forbids arming, in a text of STATUSTEXT's length; NULL where nothing did. */
+const char *quad_endpoint_unarmed(const quad_endpoint *e);
 
 /* Up to `room` bytes to send now; their number. */
 size_t quad_endpoint_send(quad_endpoint *e, uint8_t *out, size_t room);

@@ -9,6 +9,7 @@
 #define SHORTEST_US 800.0f
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
+#define OFF_S 0.05f /* of the arming switch: longer than two frames of any receiver */
 
 enum { ROLL, PITCH, THROTTLE, YAW, KILL, ARM, FREE, HOLD };
 
@@ -80,7 +81,8 @@ static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t n
     }
 }
 
-/* The pilot's switch: on arms where the throttle is low, off always disarms. */
+/* The pilot's switch: on arms where the throttle is low, off disarms whatever flies, but not by one frame that was
+ * heard wrong: pulses have no checksum, nor has SBUS. */
 static void heed_switch(quad_firmware *f)
 {
     const size_t channel = quad_setup_channel(f->endpoint.gains.active, QUAD_RECEIVER_ARM_CHANNEL);
@@ -90,11 +92,19 @@ static void heed_switch(quad_firmware *f)
     if (channel != f->arm_channel) { /* it is not known whether another switch was off */
         f->arm_channel = channel;
         f->arm_switch = true;
+        f->arm_off = 0;
     }
     const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
-    if (on && !f->arm_switch) {
-        f->endpoint.armed = f->endpoint.armed || quad_endpoint_may_arm_now(&f->endpoint);
-    } else if (!on && f->arm_switch) {
+    const uint32_t patience = (uint32_t)(OFF_S / f->period_s);
+    if (on && !f->arm_switch && !f->endpoint.armed) {
+        const char *why = quad_endpoint_unarmed(&f->endpoint);
+        f->endpoint.armed = why == NULL;
+        if (why != NULL) {
+            quad_put_text(&f->endpoint, 4, why);
+        }
+    }
+    f->arm_off = on ? 0 : f->arm_off + 1;
+    if (f->arm_off == patience) {
         f->endpoint.armed = false;
     }
     f->arm_switch = on;

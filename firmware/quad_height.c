@@ -115,14 +115,18 @@ static float asked(const quad_height *h, const float *set, float stick)
     return copysignf(set[QUAD_CLIMB_HEIGHT_RATE_LIMIT] * fminf(1.0f, past / span), off);
 }
 
+/* From the throttle of the moment. The trim stays so near the hovering one that the loop's limits reach to both sides
+ * of it: about that of a steep climb they would not, and it would climb whatever is asked. */
 static void enter(quad_height *h, const float *set, float stick)
 {
+    const float hover = set[QUAD_CLIMB_HOVER], most = set[QUAD_CLIMB_RATE_INTEGRATOR_LIMIT];
+    const float near = 0.5f * set[QUAD_CLIMB_RATE_OUTPUT_LIMIT];
     h->holding = true;
     h->lost = false;
-    h->landed = h->landed && stick < LIFTS * set[QUAD_CLIMB_HOVER];
+    h->landed = h->landed && stick < LIFTS * hover;
     h->middle = h->landed ? 0.5f : within(stick, 0.2f, 0.8f);
-    h->trim = h->landed ? set[QUAD_CLIMB_HOVER] : stick;
-    h->integral = 0.0f;
+    h->trim = h->landed ? hover : within(stick, hover - near, hover + near);
+    h->integral = h->landed ? 0.0f : within(stick - h->trim, -most, most);
     h->reference = h->height;
     h->pending_s = 0.0f;
 }

@@ -16,10 +16,11 @@
  *     climb reference = kp (height reference - height), limited
  *     U1 = (trim + kp e + ki int(e dt) - kd acceleration) / cos(tilt),  e = climb reference - climb
  *
- * with the throttle of the moment as the trim, or CLIMB_HOVER from the ground. With the barometer lost in the mode the
- * throttle is the last one with what the stick moves from its middle, until the pilot leaves the mode. On the ground it is
- * 0 until the stick asks for a climb. It has landed when, asked to sink, it does not at the least throttle for
- * a second, or in any mode when the throttle is at nothing for that time. */
+ * with the throttle of the moment as trim and integral, the trim within half of the output limit about CLIMB_HOVER,
+ * which it is from the ground. With the barometer lost in the mode the throttle is the last one with what the stick
+ * moves from its middle, until the pilot leaves the mode. On the ground it is 0 until the stick asks for a climb. It
+ * has landed when, asked to sink, it does not at the least throttle for a second, or in any mode when the throttle is
+ * at nothing for that time. */
 #ifndef QUAD_HEIGHT_H
 #define QUAD_HEIGHT_H
 

@@ -90,11 +90,29 @@ static void take_list(quad_endpoint *e)
     }
 }
 
-bool quad_endpoint_may_arm_now(const quad_endpoint *e)
+const char *quad_endpoint_unarmed(const quad_endpoint *e)
 {
-    const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT;
-    return e->throttle_low && !e->low_battery && !e->blind && !e->unfit && (e->last_flags & unsafe) == 0 &&
-           e->test.until_us == 0 && !quad_gains_sets_up(&e->gains);
+    const uint16_t flags = e->last_flags;
+    const struct {
+        bool holds;
+        const char *text;
+    } why[] = {
+        {(flags & QUAD_FLAG_RC_FAILSAFE) != 0, "not armed: receiver failsafe"},
+        {(flags & QUAD_FLAG_RC_KILL) != 0, "not armed: kill switch"},
+        {!e->throttle_low, "not armed: throttle above 5 %"},
+        {e->blind, "not armed: the gyro is silent or was not at rest"},
+        {(flags & QUAD_FLAG_ANGLE_LIMIT) != 0, "not armed: tilted"},
+        {e->low_battery, "not armed: low battery"},
+        {e->unfit, "not armed: the set-up has a fault"},
+        {e->test.until_us != 0, "not armed: a motor is tested"},
+        {quad_gains_sets_up(&e->gains), "not armed: the set-up is being written"},
+    };
+    for (size_t i = 0; i < sizeof why / sizeof why[0]; i++) {
+        if (why[i].holds) {
+            return why[i].text;
+        }
+    }
+    return NULL;
 }
 
 bool quad_endpoint_may_test_now(const quad_endpoint *e)
@@ -135,7 +153,7 @@ static uint8_t arm(quad_endpoint *e, float wanted)
     if (!e->settings.may_arm) {
         return DENIED;
     }
-    if (!quad_endpoint_may_arm_now(e)) {
+    if (quad_endpoint_unarmed(e) != NULL) {
         return NOT_NOW;
     }
     e->armed = true;

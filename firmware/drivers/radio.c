@@ -63,12 +63,14 @@ void radio_take(radio *r, radio_edge edge, uint64_t now_us)
         return;
     }
     const uint16_t width_us = (uint16_t)(edge.at_us - r->rose_us[edge.wire]);
+    const bool falls = !edge.high && r->up[edge.wire];
+    r->up[edge.wire] = edge.high;
     if (edge.high) {
         r->rose_us[edge.wire] = edge.at_us;
     }
     if (r->ppm) {
         take_ppm(r, width_us, now_us);
-    } else if (!edge.high && width_us >= SHORTEST_US && width_us <= LONGEST_US) {
+    } else if (falls && width_us >= SHORTEST_US && width_us <= LONGEST_US) {
         heard(r, edge.wire, width_us, now_us);
     }
 }

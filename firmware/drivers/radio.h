@@ -21,6 +21,7 @@ typedef struct {
     bool ppm;               /* wire 0 carries all channels, rising edge to rising edge */
     quad_receiver receiver; /* 0 where a channel has not come: no pulse */
     uint16_t rose_us[QUAD_CHANNELS];
+    bool up[QUAD_CHANNELS]; /* it rose, and has not fallen since */
     float frame_us[QUAD_CHANNELS]; /* the present PPM frame */
     size_t next;                   /* channel of it, however many there are; RADIO_NO_FRAME before its gap */
     size_t last, channels;         /* in the last frame; in all frames, 0 if not known */

@@ -308,6 +308,11 @@ static void test_pwm(void)
     radio_take(&r, end, 2000);
     radio_take(&r, nobodys, 2000);
     check(radio_now(&r, 2000).pulse_us[2] == 1300.0f, "a glitch is no pulse");
+    const radio_edge rise = {20000, 3, true}, fall = {21000, 3, false}, spike = {21800, 3, false};
+    radio_take(&r, rise, 3000);
+    radio_take(&r, fall, 3000);
+    radio_take(&r, spike, 3000); /* so short that its rise was not seen */
+    check(radio_now(&r, 3000).pulse_us[3] == 1000.0f, "a pulse ends once");
     check(radio_now(&r, 1000 + RADIO_LOST_US + 2).failsafe, "a wire fell silent");
     for (uint8_t wire = 0; wire < 5; wire++) { /* all but the arming switch's */
         const radio_edge up = {0, wire, true}, down = {1500, wire, false};
@@ -361,6 +366,69 @@ static void test_arming(void)
     }
 }
 
+/* One frame that was heard wrong, on a wire with a spike or in bits without a checksum, is no pilot's will. */
+static void test_switch_heard_wrong(void)
+{
+    static quad_firmware f;
+    const quad_firmware_settings settings = quad_firmware_defaults();
+    quad_inputs in = {.sensors = {.samples = 1, .accel = {{0.0f, 0.0f, 9.81f}}}};
+    float motors[4];
+    in.sensors.slow.battery_v = 12.0f / 11.0f;
+    for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+        in.receiver.pulse_us[i] = i == 2 || i > 3 ? 1000.0f : 1500.0f;
+    }
+    quad_firmware_init(&f, &settings);
+    for (uint64_t cycle = 0; cycle < 200; cycle++) {
+        const bool wrong = cycle >= 50 && cycle < 55, off = cycle < 10 || cycle >= 150;
+        in.receiver.pulse_us[2] = cycle > 20 ? 1500.0f : 1000.0f;
+        in.receiver.pulse_us[5] = wrong || off ? 1000.0f : 2000.0f;
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        const bool turns = (f.record.flags & QUAD_FLAG_ARMED) != 0;
+        check(cycle < 150 ? turns == (cycle >= 10) : cycle < 175 || !turns, "armed until it is switched off");
+    }
+}
+
+/* Whether it has said so since it was asked last. */
+static bool said(quad_firmware *f, const char *text)
+{
+    static uint8_t bytes[QUAD_OUTBOX];
+    const size_t count = quad_firmware_send(f, bytes, sizeof bytes), length = strlen(text);
+    for (size_t i = 0; i + length <= count; i++) {
+        if (memcmp(&bytes[i], text, length) == 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* What it does not arm for is said; and it does not arm because the transmitter was switched on. */
+static void test_not_armed(void)
+{
+    static const char *const why[] = {"not armed: throttle above 5 %", "not armed: kill switch", "not armed: low battery",
+                                      "not armed: the gyro", "not armed: tilted"};
+    static quad_firmware f;
+    const quad_firmware_settings settings = quad_firmware_defaults();
+    float motors[4];
+    for (int k = 0; k < 7; k++) {
+        quad_inputs in = {.sensors = {.samples = k == 3 ? 0 : 1, .accel = {{0.0f, 0.0f, 9.81f}}}};
+        in.sensors.accel[0][1] = k == 4 ? 9.81f : 0.0f;
+        in.sensors.slow.battery_v = (k == 2 ? 9.0f : 12.0f) / 11.0f;
+        quad_firmware_init(&f, &settings);
+        for (uint64_t cycle = 0; cycle < 60; cycle++) {
+            for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+                const bool on = (i == 4 && k == 1) || (i == 5 && cycle >= 40);
+                in.receiver.pulse_us[i] = i < 4 && i != 2 ? 1500.0f : on ? 2000.0f : 1000.0f;
+            }
+            in.receiver.pulse_us[2] = k == 0 ? 1100.0f : 1000.0f;
+            in.receiver.failsafe = k == 6 && cycle > 20 && cycle < 50;
+            check(cycle != 40 || !said(&f, "not armed"), "nobody wants to arm it yet");
+            quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+        }
+        check(f.endpoint.armed == (k == 5), "armed where nothing forbids it");
+        check(k > 4 || said(&f, why[k]), "and what does is said");
+    }
+}
+
 int main(void)
 {
     test_gyro();
@@ -371,6 +439,8 @@ int main(void)
     test_ppm_edges();
     test_pwm();
     test_arming();
+    test_switch_heard_wrong();
+    test_not_armed();
     float motors[4], given[4];
     const float none[4] = {0.5f, NAN, 0.0f, 0.0f};
     check(quad_mix(none, 0.05f, motors, given) && motors[0] == 0.0f && motors[1] == 0.0f, "no number, no thrust");

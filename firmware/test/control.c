@@ -1,5 +1,5 @@
 /* The control law on records in memory: what is held back where the motors cannot give it, airmode, notches; the
- * height mode on a point mass, with the barometer lost in the midst. */
+ * attitude of what is turned over; the height mode on a point mass, with the barometer lost in the midst. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -105,6 +105,39 @@ static void test_notch(void)
     check(passed(&notch, 80.0f) > 0.99f, "off beyond what the samples tell");
 }
 
+/* Turn it about its pitch at this rate for so many seconds. */
+static void pitch_over(quad_attitude *a, float *angle, float rate, float seconds, float attitude[3])
+{
+    const quad_mounting mounting = {.axes = {1, 2, 3}, .sample_s = PERIOD_S, .complementary_s = 5.0f};
+    quad_sensors s = {.samples = 1, .gyro = {{0.0f, rate, 0.0f}}, .slow = {.mag_gauss = {NAN, NAN, NAN}}};
+    float gyro[3], accel[3];
+    for (float at = 0.0f; at < seconds; at += PERIOD_S) {
+        *angle += PERIOD_S * rate;
+        s.accel[0][0] = 9.80665f * sinf(*angle);
+        s.accel[0][2] = -9.80665f * cosf(*angle);
+        quad_attitude_cycle(a, &mounting, &s, gains, PERIOD_S, gyro, accel, attitude);
+    }
+}
+
+static void test_turned_over(void)
+{
+    quad_attitude a;
+    float angle = 3.1415927f, attitude[3];
+    begin();
+    quad_attitude_init(&a);
+    pitch_over(&a, &angle, 0.0f, 1.0f, attitude); /* the battery was plugged in from below */
+    check(fabsf(attitude[0]) > 3.1f && fabsf(attitude[1]) < 0.01f, "upside down");
+    pitch_over(&a, &angle, 3.1415927f, 1.0f, attitude);
+    pitch_over(&a, &angle, 0.0f, 0.1f, attitude);
+    check(fabsf(attitude[0]) < 0.05f && fabsf(attitude[1]) < 0.05f, "level once it was turned over by its nose");
+    pitch_over(&a, &angle, -3.1415927f, 1.0f, attitude);
+    pitch_over(&a, &angle, 0.0f, 5.0f, attitude);
+    check(fabsf(attitude[0]) > 3.0f && fabsf(attitude[1]) < 0.05f, "upside down again, for long");
+    pitch_over(&a, &angle, -3.1415927f, 1.0f, attitude);
+    pitch_over(&a, &angle, 0.0f, 0.1f, attitude);
+    check(fabsf(attitude[0]) < 0.05f && fabsf(attitude[1]) < 0.05f, "and level after a whole turn");
+}
+
 /* A mass that one unit of throttle accelerates by 30 m/s^2, on a ground. */
 typedef struct {
     quad_height mode;
@@ -164,12 +197,38 @@ static void test_height(void)
     check(m.mode.landed && m.mode.throttle == 0.0f, "and stays there");
 }
 
+/* Whatever throttle it is switched on at, the stick has the height, and the ceiling holds. */
+static void test_height_from_any_throttle(void)
+{
+    static const float throttles[] = {1.0f, 0.8f, 0.1f};
+    for (size_t i = 0; i < sizeof throttles / sizeof throttles[0]; i++) {
+        const float stick = throttles[i], middle = fmaxf(0.2f, fminf(0.8f, stick));
+        mass m = {.force = 9.80665};
+        begin();
+        quad_height_init(&m.mode);
+        lift(&m, 0.36f, false, true, 250);
+        lift(&m, 0.45f, false, true, 250);
+        lift(&m, 0.25f, false, true, 125);
+        lift(&m, stick, false, true, 125);
+        lift(&m, stick, true, true, 1);
+        check(!m.mode.landed && m.mode.holding, "the mode begins in the air");
+        lift(&m, middle, true, true, 8000);
+        check(fabs(m.climb) < 0.2 && fabs(m.height - (double)m.mode.reference) < 0.5, "it holds its height");
+        lift(&m, 0.0f, true, true, 500);
+        check(m.climb < -0.3, "it sinks as the stick asks");
+        lift(&m, 1.0f, true, true, 15000);
+        check(fabs(m.height - 30.0) < 0.5, "and climbs to the ceiling");
+    }
+}
+
 int main(void)
 {
     test_no_integral_of_what_is_not_given();
     test_airmode();
     test_notch();
+    test_turned_over();
     test_height();
+    test_height_from_any_throttle();
     printf("%d checks, %d failed\n", checks, failures);
     return failures > 0;
 }

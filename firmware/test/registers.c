@@ -44,14 +44,15 @@ static uint8_t fifo[1024];
 static size_t fifo_count, popped, overflows;
 static uint64_t sampled_ns, converts_ns;
 static uint32_t converting;
-static bool gyro_gone, moves, flash_broken;
+static bool gyro_gone, moves, sways, flash_broken;
 
 static void sample(void)
 {
     for (; sampled_ns + 1000000 <= now_ns; sampled_ns += 1000000) {
         static const int16_t words[6] = {0, 0, 4096, 13, -26, 0};
         for (size_t i = 0; i < 6 && mpu[0x23] == 0x78 && fifo_count + 2 <= sizeof fifo; i++) {
-            const int16_t word = (int16_t)(words[i] + (moves && i == 3 ? 1000 : 0));
+            const double turn = sways ? 160.0 * sin(2e-9 * (double)sampled_ns) : 0.0; /* 2.4 deg/s, as in a hand */
+            const int16_t word = (int16_t)(words[i] + (moves && i == 3 ? 1000 : 0) + (i == 3 ? (int)turn : 0));
             fifo[fifo_count++] = (uint8_t)((uint16_t)word >> 8);
             fifo[fifo_count++] = (uint8_t)word;
         }
@@ -503,7 +504,9 @@ static void test_faults_of_the_bus_in_flight(void)
     }
     CHECK(most_silent < 5);
     mpu[0x23] = mpu[0x6A] = 0;
+    hmc[2] = 1; /* the compass as well: it is idle, and its last measurement stays */
     fly_on(0.09);
+    CHECK(hmc[2] == 0);
     CHECK(flight.firmware.endpoint.armed && mpu[0x23] == 0x78 && flight.firmware.attitude.silent < 2);
     printf("%u faults of the bus, at most %u cycles without the gyro\n", BUS_BYTES, most_silent);
 }
@@ -519,6 +522,10 @@ static void test_flight(void)
     CHECK(flight.barometer_is);
     CHECK(!flight.rested);
     moves = false; /* the jolt begins its second of rest anew */
+    sways = true;
+    fly_on(7.0);
+    CHECK(!flight.rested);
+    sways = false;
     fly_on(1.6);
     CHECK(flight.rested && fabsf(record->gyro[0]) < 1e-4f && fabsf(record->gyro[1]) < 1e-4f);
     CHECK(fabsf(flight.firmware.settings.mounting.gyro_bias[0] - level) < 1e-5f);
@@ -542,12 +549,39 @@ static void test_flight(void)
     fly_on(0.3);
     CHECK(flight.gyro_is && flight.firmware.attitude.silent == 0);
     mpu[0x23] = mpu[0x6A] = 0; /* a dip of its supply: it answers, and measures nothing */
+    hmc[0] = 0x10;
+    hmc[2] = 1;
     fly_on(1.0);
+    CHECK(hmc[0] == 0x78 && hmc[2] == 0);
     CHECK(flight.gyro_is && mpu[0x23] == 0x78 && flight.firmware.attitude.silent == 0);
     const uint32_t cycles = flight.firmware.timing.cycles;
     CHECK(cycles > 800 && sent_cycles + 2 >= cycles);
     CHECK(watched && longest_unfed_ns < 20000000 && now_ns - fed_ns < 20000000);
     printf("%u cycles flown, %zu sent\n", cycles, sent_cycles);
+}
+
+/* The cycle has read its chips for 2 ms before it hears what has come since it began. */
+static void test_bytes_that_come_while_chips_are_read(void)
+{
+    static serial_radio r;
+    static const uint8_t sbus[25] = {0x0F};
+    serial_radio_start(&r, SERIAL_SBUS);
+    for (size_t frame = 0; frame < 10; frame++) {
+        now_ns += 6000000;
+        const uint64_t began_us = board_now_us();
+        for (size_t i = 0; i < sizeof sbus; i++) {
+            if (i == 18) {
+                receiver_hear(&r, began_us);
+            }
+            now_ns += 80000; /* and what the interrupt's access takes */
+            R(UART5->SR) = USART_SR_RXNE;
+            R(UART5->DR) = sbus[i];
+            receiver_interrupt();
+            settle();
+        }
+        receiver_hear(&r, board_now_us());
+    }
+    CHECK(r.frames == 10 && r.bad == 0);
 }
 
 static void test_gains_outlive_the_power(void)
@@ -609,6 +643,7 @@ int main(void)
     open_registers();
     power();
     test_flight();
+    test_bytes_that_come_while_chips_are_read();
     test_gains_outlive_the_power();
     test_a_broken_flash_is_told_of_once();
     test_cut_at_every_access();

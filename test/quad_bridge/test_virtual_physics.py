@@ -12,7 +12,7 @@ from virtual_aircraft import coasting, open_loop, quiet_profile
 from quad_bridge.virtual import compiled
 from quad_bridge.virtual.aircraft import Aircraft
 from quad_bridge.virtual.cycle import ADDED, ARMED, COLUMNS, INJECTION, INPUTS, THROTTLE
-from quad_bridge.virtual.effects import Effects, GyroscopicCoupling, InertiaCoupling
+from quad_bridge.virtual.effects import BatterySag, Effects, GyroscopicCoupling, InertiaCoupling
 from quad_bridge.virtual.physics import CHARGE, QUAT, RATES
 from quad_bridge.virtual.plant import axis_gains
 
@@ -87,6 +87,18 @@ def test_the_battery_sags_under_load_and_empties_by_its_current():
     assert machine.state[CHARGE] - 0.05 * 4.5 * 3600 == pytest.approx(current * 10.0, rel=1e-6)
     open_v = 3 * np.interp(0.95, (0.9, 1.0), (4.06, 4.2))
     assert log[0, COLUMNS['battery_v']] == pytest.approx(open_v - 0.025 * current, abs=1e-9)
+
+
+def test_a_battery_that_cannot_give_the_current_has_no_voltage_rather_than_less_than_none():
+    profile = quiet_profile(Effects(battery_sag=BatterySag(enabled=True)), mount='hover')
+    battery = replace(profile.airframe.battery, resistance_ohm=0.25)
+    profile = replace(profile, airframe=replace(profile.airframe, battery=battery))
+    aircraft = Aircraft(profile, seed=1)
+    given = inputs(500, aircraft)
+    given[:, THROTTLE] = 1.0
+    log = aircraft.run(given)
+    assert np.isfinite(log).all()
+    assert log[:, COLUMNS['battery_v']].min() >= 0.0
 
 
 def test_the_compiled_cache_follows_every_file_with_kernels():

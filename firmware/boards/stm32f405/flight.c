@@ -25,8 +25,14 @@
 #define SILENT 5u        /* cycles without the gyro before it is set up anew */
 #define SLOW 5u          /* cycles between two readings of the compass */
 #define REST_SAMPLES 1000u
+#define REST_PART 250u   /* samples; a part of REST_SAMPLES */
 #define REST_RAD_S 0.1f  /* between the largest and the smallest rate of a gyro at rest */
+#define REST_MEAN_RAD_S 0.005f /* the same of its parts' means: what sways in a hand turns no faster */
 #define TOLD_CYCLES 1250u
+
+typedef struct {
+    float least, most;
+} range;
 
 static struct {
     quad_firmware firmware;
@@ -39,7 +45,8 @@ static struct {
     uint32_t silent; /* cycles without the gyro */
     struct {
         uint32_t count;
-        float sum[3], least[3], most[3];
+        float sum[3], part[3]; /* of all samples, of those of the present part */
+        range rates[3], means[3];
     } rest;
     uint32_t kept; /* confirmations that serve_flash has seen to */
     uint64_t due_us;
@@ -89,6 +96,7 @@ static void measure(uint64_t now_us)
     }
     if (flight.silent >= SILENT) { /* it may have lost its settings; in flight it has QUAD_BLIND_S for that */
         flight.gyro_is = mpu6050_start(&board_bus);
+        flight.compass_is = flight.gyro_is && hmc5883_start(&board_bus); /* of one supply: it may be idle for ever */
         flight.silent = 0;
     }
     s->samples = 0;
@@ -133,22 +141,39 @@ static void tell_pilot(uint32_t cycle)
     }
 }
 
+/* Widen it by a value, or begin it with one; its width. */
+static float widened(range *r, float value, bool first)
+{
+    r->least = first ? value : fminf(r->least, value);
+    r->most = first ? value : fmaxf(r->most, value);
+    return r->most - r->least;
+}
+
+/* Count a sample as one at rest, or begin anew with the next one where it is not. */
+static void rest_on(const float rate[3])
+{
+    const uint32_t count = flight.rest.count, part = count / REST_PART;
+    const bool first = count == 0, whole = count % REST_PART == REST_PART - 1u;
+    bool still = true;
+    for (size_t i = 0; i < 3; i++) {
+        float *sum = &flight.rest.part[i];
+        flight.rest.sum[i] = first ? rate[i] : flight.rest.sum[i] + rate[i];
+        *sum = count % REST_PART == 0 ? rate[i] : *sum + rate[i];
+        still = widened(&flight.rest.rates[i], rate[i], first) <= REST_RAD_S && still;
+        if (whole) {
+            still = widened(&flight.rest.means[i], *sum / (float)REST_PART, part == 0) <= REST_MEAN_RAD_S && still;
+        }
+    }
+    flight.rest.count = still ? count + 1 : 0;
+}
+
 /* The gyro's bias is its mean over a second in which it hardly moves; before, the firmware gets no sample
  * and so does not arm. */
 static void take_rest(void)
 {
     quad_sensors *s = &flight.inputs.sensors;
     for (size_t k = 0; k < s->samples && flight.rest.count < REST_SAMPLES; k++) {
-        float span = 0.0f;
-        for (size_t i = 0; i < 3; i++) {
-            const float rate = s->gyro[k][i];
-            const bool first = flight.rest.count == 0;
-            flight.rest.sum[i] = first ? rate : flight.rest.sum[i] + rate;
-            flight.rest.least[i] = first ? rate : fminf(flight.rest.least[i], rate);
-            flight.rest.most[i] = first ? rate : fmaxf(flight.rest.most[i], rate);
-            span = fmaxf(span, flight.rest.most[i] - flight.rest.least[i]);
-        }
-        flight.rest.count = span > REST_RAD_S ? 0 : flight.rest.count + 1;
+        rest_on(s->gyro[k]);
     }
     s->samples = 0;
     if (flight.rest.count >= REST_SAMPLES) {

@@ -63,9 +63,9 @@ void receiver_hear(serial_radio *r, uint64_t now_us)
         line.tail = head - RING;
     }
     for (; line.tail != head; line.tail++) {
-        const uint16_t ago_us = (uint16_t)((uint16_t)now_us - line.at_us[line.tail % RING]);
-        const bool ahead = ago_us > 0x8000u; /* it came after now_us was asked for */
-        serial_radio_take(r, line.bytes[line.tail % RING], ahead ? now_us : now_us - ago_us);
+        const uint16_t after_us = (uint16_t)(line.at_us[line.tail % RING] - (uint16_t)now_us);
+        const bool before = after_us >= 0x8000u; /* else it came since now_us was asked for */
+        serial_radio_take(r, line.bytes[line.tail % RING], before ? now_us - (0x10000u - after_us) : now_us + after_us);
     }
 }
 

@@ -52,7 +52,10 @@ def pack_current(state: FloatArray, plant: Plant) -> float:
 
 @kernel
 def battery_voltage(state: FloatArray, plant: Plant) -> float:
-    """Pack voltage in V under the present load; open-circuit voltage linear between points."""
+    """Pack voltage in V under the present load, never below 0.
+
+    The open-circuit voltage is linear between points.
+    """
     charge = max(0.0, 1.0 - float(state[CHARGE]) / plant.capacity_as)
     points, volts = plant.charge_points, plant.pack_voltage
     i = 1
@@ -60,7 +63,7 @@ def battery_voltage(state: FloatArray, plant: Plant) -> float:
         i += 1
     share = (charge - points[i - 1]) / (points[i] - points[i - 1])
     open_circuit = volts[i - 1] + share * (volts[i] - volts[i - 1])
-    return open_circuit - plant.resistance * pack_current(state, plant)
+    return max(0.0, open_circuit - plant.resistance * pack_current(state, plant))
 
 
 @kernel
