@@ -3,8 +3,9 @@
     PYTHON bench/blackbox_peers.py RECORD.npz
 
 Needs numpy and what it times: `sippy_unipi` and `sysidentpy`, each left out where it is missing.
-Ends with one JSON object: milliseconds (one call each, after the import), and the variance of the
-one-step error where the peer tells it.
+Ends with one JSON object: milliseconds (the shortest of REPEATS calls behind one that loads, of
+this thread's CPU time, as for ours; of what takes longer than LONG_MS the first alone), and the
+variance of the one-step error where the peer tells it.
 """
 
 from __future__ import annotations
@@ -19,17 +20,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+REPEATS, LONG_MS = 7, 2000.0
+
 
 def timed(call: Callable[[], object]) -> tuple[float, object]:
     """Milliseconds and result; the error in words where a peer fails."""
-    begin = time.perf_counter()
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-            warnings.simplefilter('ignore')
-            result: object = call()
-    except Exception as error:  # noqa: BLE001  a peer may fail in any way
-        result = f'{type(error).__name__}: {error}'
-    return 1e3 * (time.perf_counter() - begin), result
+    times: list[float] = []
+    result: object = None
+    while len(times) <= REPEATS and not (times and times[0] > LONG_MS):
+        begin = time.thread_time()
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+                warnings.simplefilter('ignore')
+                result = call()
+        except Exception as error:  # noqa: BLE001  a peer may fail in any way
+            result = f'{type(error).__name__}: {error}'
+        times.append(1e3 * (time.thread_time() - begin))
+    return min(times[1:] or times), result
 
 
 def sippy(u: np.ndarray, y: np.ndarray, dt: float) -> dict[str, object]:

@@ -1,9 +1,9 @@
 """Which planted effect is named, how often nothing is, and what it buys: `make bench-effects`.
 
 What was planted is sealed in a file before the flights; the analysis gets records alone, and the
-judge opens the seal when the answers are written. A third of the flights is held back: settings of
-the tool were never looked at on them, and their figures stand apart. The last line of the output
-is one JSON object.
+judge opens the seal when the answers are written. The usual seeds were looked at during the
+development; `--held-back`, or another `--first-seed`, draws flights apart from them, which are new
+the first time only. The last line of the output is one JSON object.
 
     python bench/effects.py --seeds 4 --nothing 40 --out bench/out
 """

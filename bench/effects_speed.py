@@ -3,12 +3,14 @@
 Beside it, in the same run, a plain Kalman filter of the same base in numpy, with derivatives by
 differences, as one writes it in an afternoon; with `--peers PYTHON`, a Python that has them, also
 the filters of statsmodels and filterpy, which give the likelihood without derivatives, and that of
-dynamax. Ratios count, not seconds.
+dynamax. Ratios count, not seconds. Each call has parameters of its own, as in a search: the flight
+keeps the drive that the last ones gave.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import tempfile
@@ -52,8 +54,9 @@ def axis(flight: scenarios.Scenario, peers: str | None) -> None:
     base = best_base(problem)
     steps = np.full(base.theta.size, 1e-4)
     n = problem.data.rate.size
+    points = itertools.cycle(base.theta + moved for moved in np.linspace(1e-6, 1e-4, 1000))
     ours = timed(
-        lambda: problem.flight.predict(base.structure, base.theta, sweeps=1, steps=steps)
+        lambda: problem.flight.predict(base.structure, next(points), sweeps=1, steps=steps)
     )
     plain = timed(lambda: plain_filter(problem, base, base.theta.size + 1), repeats=1)
     print(f'{flight.planted or "nothing"}: {n} samples at {1 / data.dt:.0f} Hz')
@@ -61,7 +64,7 @@ def axis(flight: scenarios.Scenario, peers: str | None) -> None:
     print(f'  the same in plain numpy  {1e6 * plain / n:7.2f} us a sample')
     print(f'  ratio                    {plain / ours:7.0f}')
     if peers and not problem.flight.sensor.behind:  # theirs is the model without a gyro filter
-        value = timed(lambda: problem.flight.predict(base.structure, base.theta, sweeps=1))
+        value = timed(lambda: problem.flight.predict(base.structure, next(points), sweeps=1))
         left = problem.flight.predict(base.structure, base.theta, sweeps=1).innovation
         print(f'  likelihood alone         {1e6 * value / n:7.2f} us a sample; innovations '
               f'{float(np.sqrt(np.nanmean(left**2))):.5f} rad/s')

@@ -211,7 +211,7 @@ def test_designed_gains_hold_the_position_as_with_the_found_model():
     """A step of 1 m and a gust of 0.5 m/s: to 10 % of the step, at its worst moment too."""
     found = qs.identify(flown(Effects(), 'surge')[0], axes=('surge', 'pitch'), effects=())
     models = {axis: one.model for axis, one in found.answers.items()}
-    with pytest.raises(DesignRefusedError, match='the model of pitch is not there'):
+    with pytest.raises(DesignRefusedError, match='the model of pitch is needed too'):
         propose(models['surge'])
     proposal = propose(models['surge'], inner=models['pitch'])
     assert proposal.figures['rise_time_s'] < 0.8 * proposal.figures['rise_time_s_before']

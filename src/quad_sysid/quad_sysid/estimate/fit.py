@@ -393,8 +393,8 @@ def limited(step: NDArray[np.floating[Any]], logs: NDArray[np.bool_]) -> FloatAr
 def stays_bounded(problem: Problem, fitted: Fit, prediction: Prediction) -> bool:
     """Whether its free runs stay near what was flown, also begun at twice the rate or against it.
 
-    Within AT_MOST times the largest measured rate: what runs away from there explains nothing,
-    and would not hold on a livelier flight. prediction: of the fit along this flight.
+    Within LARGEST_GROWTH times the largest measured rate: what runs away from there explains
+    nothing, and would not hold on a livelier flight. prediction: of the fit along this flight.
     """
     data, flight = problem.data, problem.flight
     long = data.windows(problem.spans, BOUNDED_S)
