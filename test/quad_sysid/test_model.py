@@ -241,6 +241,19 @@ def test_a_law_that_another_one_hides_is_found_beside_it():
     assert set(best.labels) == {'coulomb_friction', 'quadratic_drag'}
 
 
+@pytest.mark.parametrize(('changes', 'label', 'truth'), [
+    ({'command': lambda t, u, _: 0.8 * u if t > 8.7 else u}, 'step_event/gain', (8.71, -0.2)),
+])
+def test_what_happens_at_a_time_is_found_wherever_it_falls(changes, label, truth):
+    """Also outside the part on which many starts are tried first."""
+    data = axis_data([fly(Axis(**changes), 3, LONGER)], 'roll')
+    events = [e for e in EFFECTS if e.name in ('event', 'step_event')]
+    best = search(Problem(data, data.train), events).best
+    assert best.structure.labels == (label,)
+    assert best.values[5] == pytest.approx(truth[0], abs=0.05 if 'torque' in label else 0.3)
+    assert best.values[6 : 5 + len(truth)] == pytest.approx(truth[1:], rel=0.15)
+
+
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
     rubbed, monkeypatch
 ):

@@ -156,11 +156,11 @@ class _Beside(Trajectory):
         """The best start and score of a candidate; None where none is physical.
 
         Of many starts those are scored that lead on the short part of the flight. It would miss
-        events.
+        what happens at a time.
         """
         starts = self.starts(part)
         short = self.on_short_problem
-        if short is not None and len(starts) > FEW_STARTS and part.effect.kind != 'event':
+        if short is not None and len(starts) > FEW_STARTS and not part.effect.happens:
             nats = [-math.inf if s is None else s.nats for s in short.scored(part, starts)]
             starts = [starts[i] for i in np.argsort(nats)[: -FEW_STARTS - 1 : -1]]
         scores = (s for s in self.scored(part, starts) if s is not None)

@@ -60,6 +60,7 @@ class Repeating(Effect):
 class Event(Torque):
     """A torque that begins at a time, the first parameter."""
 
+    happens = True
     size = size_of_term
     lengths: tuple[tuple[float, ...], ...] = ((),)
     """Start values of the parameters between the time and the size."""
@@ -73,6 +74,8 @@ class Event(Torque):
 
 class Periodic(Repeating, Event):
     """A term that swings; its phase differs from flight to flight."""
+
+    happens = False
 
     def __init__(self, term: str, name: str, **more: str) -> None:
         self.term, unit = term, UNITS[term]

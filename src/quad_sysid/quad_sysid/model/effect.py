@@ -233,6 +233,8 @@ class Effect:
     states: int = 0
     """Number of hidden states, which `advance` drives by the signals; of what acts on single
     motors, of each."""
+    happens: bool = False
+    """Whether it begins at a time, which a part of the flight may not hold."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero
