@@ -242,10 +242,13 @@ def test_a_law_that_another_one_hides_is_found_beside_it():
 
 
 @pytest.mark.parametrize(('changes', 'label', 'truth'), [
+    ({'torque': lambda t, *_: 2.0 if 6.77 < t < 7.9 else 0.0}, 'event/torque for a while',
+     (6.77, 1.13, 2.0)),
+    ({'torque': lambda t, *_: 0.8 if t > 7.27 else 0.0}, 'step_event/torque', (7.27, 0.8)),
     ({'command': lambda t, u, _: 0.8 * u if t > 8.7 else u}, 'step_event/gain', (8.71, -0.2)),
 ])
 def test_what_happens_at_a_time_is_found_wherever_it_falls(changes, label, truth):
-    """Also outside the part on which many starts are tried first."""
+    """Between the times of a grid, and outside the part on which many starts are tried first."""
     data = axis_data([fly(Axis(**changes), 3, LONGER)], 'roll')
     events = [e for e in EFFECTS if e.name in ('event', 'step_event')]
     best = search(Problem(data, data.train), events).best

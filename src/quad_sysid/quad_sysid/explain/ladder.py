@@ -319,8 +319,9 @@ class _Climb:
         shares: list[tuple[float, Part, FloatArray]] = []
         for part in parts:
             effect = part.effect
-            if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                    and type(effect).starts_by_residual is Effect.starts_by_residual:
+            if effect.kind == 'named' and effect.label not in have and not effect.wanders and (
+                    effect.happens
+                    or type(effect).starts_by_residual is Effect.starts_by_residual):
                 shares += _share(trajectory, part, q, left)
         best: dict[str, tuple[float, Part, FloatArray]] = {}
         for law in sorted(shares, key=lambda law: -law[0]):

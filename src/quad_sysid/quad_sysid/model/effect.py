@@ -206,6 +206,10 @@ class FitResidual(Protocol):
         """Frequencies (Hz) at which the effect's term swings."""
         ...
 
+    def edges(self) -> Sequence[float]:
+        """Times (s) at which a torque may begin or end."""
+        ...
+
     def steps(self) -> Sequence[FloatArray]:
         """Steps in which motors may take their commands, each with one level."""
         ...
