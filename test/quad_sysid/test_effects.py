@@ -22,6 +22,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
+from quad_sysid.discover.screen import candidates
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, COUNT, Curve, Smooth
 from quad_sysid.effects.hidden import Shown
@@ -582,6 +583,14 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
             inside = np.concatenate([np.arange(a, b) for a, b in problem.spans])
             found = remembered_in(problem.flight)[inside]
             assert found == pytest.approx(truth[at[inside]], abs=0.1), effect
+
+
+@pytest.mark.parametrize('axis', ['climb', 'surge'])
+def test_what_leans_is_no_candidate_where_metres_stand_for_the_angle(plain_flight, axis):
+    data = replace(axis_data([plain_flight], 'roll'), axis=axis)
+    parts, _ = candidates(Problem(data, data.train), EFFECTS)
+    assert not {'pendulum_stiffness', 'mode:loose_load/leaning', 'gyroscopic_coupling'} & {
+        word for part in parts for word in (part.effect.name, part.effect.label)}
 
 
 def test_a_curve_holds_its_last_value_outside_the_training():
