@@ -87,11 +87,13 @@ class Signals:
     other_commands: tuple[FloatArray, FloatArray]
     """Normalised."""
     time: FloatArray
-    """s from the first sample."""
+    """s from the first sample, several flights end to end."""
     other_angles: tuple[FloatArray, FloatArray] | None = None
     """rad"""
     motors: tuple[FloatArray, ...] | None = None
     """Commands of the motors, normalised."""
+    since_start: FloatArray | None = None
+    """s from the first sample of its own flight; None: as `time`."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
     sent: FloatArray | None = None
