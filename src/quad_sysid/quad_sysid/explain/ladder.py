@@ -71,7 +71,7 @@ class Ladder:
     rungs: tuple[Rung, ...]
     blocks: int = 0
     reproducible: dict[str, float] = field(default_factory=dict)
-    """Label of each effect of the answer → share of the resampled flights in which it is in the
+    """Name of each effect of the answer → share of the resampled flights in which it is in the
     answer, whatever its variant."""
 
     @property
@@ -395,6 +395,7 @@ def resampled(
     rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(rows, 0, block.size - 1)]
     rungs = ladder.rungs
+    names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     counts: Counter[str] = Counter()
@@ -409,7 +410,8 @@ def resampled(
             if enough:
                 total = missed[: enough + 1] @ weights[draw, of_window]
                 causes = -np.diff(total) >= NEGLIGIBLE * total[0]
-                counts.update(set().union(*compress(added, causes)))
+                # the whole reference, on the last rung, may lack a law that did for its curve
+                counts.update(names[enough] & set().union(*compress(added, causes)))
     answer = rungs[ladder.answer].model.structure.parts
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
