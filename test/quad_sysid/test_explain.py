@@ -182,6 +182,18 @@ def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answe
     assert drags == pytest.approx(1.0 / (1.0 + np.exp(-4.0)))
 
 
+def test_rivals_that_are_equally_probable_stand_in_the_order_of_their_names(rubbed_answer):
+    """And not in that of a set, which differs from one process to the next."""
+    found = rubbed_answer.findings
+    parts = {part.effect.name: part for part in candidates(found.problem, EFFECTS)[0]}
+    drag, base = parts.pop('quadratic_drag'), found.search.base
+    drags, others = (replace(base, structure=Structure(tuple(each)))
+                     for each in ([drag], list(parts.values())[:12]))
+    search = SearchResult(base, (Scored(drags, 0.0), Scored(others, 0.0)), {})
+    _, (rivals,) = accept._posterior(search, drags, found.ladder)
+    assert [name for name, _ in rivals] == sorted(list(parts)[:12])
+
+
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])
 def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monkeypatch, because):
     told = rubbed_answer.findings
