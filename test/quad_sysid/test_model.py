@@ -289,6 +289,20 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
         assert np.std(one - plain) > 0.1 * np.std(plain)
 
 
+def test_the_clock_of_motors_that_hold_a_command_is_found_in_a_flight_of_some_length():
+    """There a step of the derivative by its frequency must not turn it by radians."""
+    kept = [0.0]
+
+    def held(t, u, _volts):
+        if round(t / 0.004) % 5 == 0:
+            kept[0] = u
+        return kept[0]
+
+    problem, base = based(axis_data([fly(Axis(command=held), 4)], 'roll'))
+    found = extended(problem, base, score_of(problem, base, 'shape:delay:time/held'))
+    assert found.values[5] == pytest.approx(50.0, abs=3e-4)
+
+
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:
     """Of the base's and of its own parameters, along one random direction each; one of each kind.
 

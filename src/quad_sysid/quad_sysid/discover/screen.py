@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve, find_peaks, lfilter
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import FEW_STARTS, PER_NONLINEAR
-from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
@@ -195,7 +195,7 @@ class _Beside(Trajectory):
         if short_problem is None:
             return None
         fitted, short_problem.flight.rate = self.fitted, self.fitted.rate[short_problem.index]
-        steps = derivative_steps(short_problem.sizes(fitted.structure))
+        steps = short_problem.steps(fitted.structure, fitted.theta)
         prediction = short_problem.flight.predict(fitted.structure, fitted.theta, steps=steps)
         return None if prediction.jacobian is None else \
             _Beside(short_problem, replace(fitted, prediction=prediction))
