@@ -873,6 +873,9 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     data = axis_data([replace(bare, battery_v=None, rates=rates)], 'roll')
     why = {effect.name: effect.prepare(data) for effect in EFFECTS}
     assert why['battery_sag'] == 'the flight holds no battery voltage'
+    unmeasured = axis_data([replace(bare, battery_v=np.zeros(bare.n))], 'roll')
+    sag = next(effect for effect in EFFECTS if effect.name == 'battery_sag')
+    assert 'moves by 0.000 V only' in sag.prepare(unmeasured)
     assert 'was not measured throughout' in why['gyroscopic_coupling']
 
 
