@@ -19,7 +19,9 @@ from quad_sysid.effects.events import Held, PeriodicDelay
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
+from quad_sysid.explain.ladder import _believed
 from quad_sysid.explain.models import Models
+from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import axis_data, slice_of
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight
@@ -255,6 +257,24 @@ def test_what_happens_at_a_time_is_found_wherever_it_falls(changes, label, truth
     assert best.structure.labels == (label,)
     assert best.values[5] == pytest.approx(truth[0], abs=0.05 if 'torque' in label else 0.3)
     assert best.values[6 : 5 + len(truth)] == pytest.approx(truth[1:], rel=0.15)
+
+
+def test_an_event_is_as_probable_however_late_the_excitation_began(monkeypatch):
+    """Ten minutes on the ground before it are none of the event's prior, nor of the ladder's."""
+    flown, late = fly(Axis(torque=lambda t, *_: 0.8 if t > 7.27 else 0.0), 3, LONGER), 600.0
+    data = axis_data([flown], 'roll')
+    evidence = []
+    for begin in (0.0, late):
+        monkeypatch.setattr(type(data), 'clock', property(
+            lambda seen, begin=begin: begin + seen.whole[1] * seen.dt))
+        problem, base = based(data)
+        score = score_of(problem, base, 'step_event/torque')
+        found = extended(problem, base, score)
+        assert found.values[5] == pytest.approx(begin + 7.27, abs=0.05)
+        assert _believed(Projected(found.structure, found.theta, np.zeros(0)))
+        evidence.append(found.evidence - base.evidence)
+    assert evidence[0] > 20.0
+    assert evidence[0] - evidence[1] < math.log(late / 30.0) + 1.0
 
 
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(

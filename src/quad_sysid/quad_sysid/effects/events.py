@@ -67,6 +67,17 @@ class Event(Torque):
     lengths: tuple[tuple[float, ...], ...] = ((),)
     """Start values of the parameters between the time and the size."""
 
+    def prepare(self, data: AxisData) -> Settings | str:
+        settings = super().prepare(data)
+        if isinstance(settings, str) or not self.happens:
+            return settings
+        return {**settings, 'until': float(data.clock[-1])}
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        if self.happens:  # at any time of the flight, however late it began to be excited
+            sizes = np.r_[max(float(sizes[0]), settings.get('until', 0.0)), sizes[1:]]
+        return super().precision(settings, sizes)
+
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
 

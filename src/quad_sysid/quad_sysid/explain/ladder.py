@@ -228,9 +228,10 @@ def _added(model: Projected) -> Effect:
 def _believed(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
     effect, values = _added(model), model.theta[model.structure.slices()[-1]]
-    return effect.kind != 'named' or all(
-        parameter.spread is None or abs(value - parameter.centre) <= BELIEVED * parameter.spread
-        for parameter, value in zip(effect.parameters, values, strict=True))
+    sizes = np.array([spec.spread or np.inf for spec in effect.parameters])
+    precision = np.diag(effect.precision(model.structure.parts[-1].settings, sizes))
+    away = values - [spec.centre for spec in effect.parameters]
+    return effect.kind != 'named' or bool(np.all(precision * away**2 <= BELIEVED**2))
 
 
 class _Climb:
