@@ -22,6 +22,9 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
+from quad_sysid.discover.base import best_base
+from quad_sysid.discover.screen import candidates, screen
+from quad_sysid.discover.search import extended
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, COUNT, Curve, Smooth
 from quad_sysid.effects.hidden import Shown
@@ -584,6 +587,31 @@ def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged
             assert found == pytest.approx(truth[at[inside]], abs=0.1), effect
 
 
+def test_a_curve_over_time_begins_anew_with_each_flight():
+    """As it does in a flight that it has never seen."""
+    def warming(t, u, _volts):
+        return u * (1.3 - 0.3 * min(t / 15.0, 1.0) ** 2)
+
+    flights = [fly(Axis(command=warming), seed, LONGER) for seed in (1, 2)]
+    data = axis_data(flights, 'roll')
+    problem = Problem(data, data.train)
+    problem.measure(base := best_base(problem))
+    parts, _ = candidates(problem, [e for e in EFFECTS if e.label == 'shape:gain:time/smooth'])
+    knots = np.array(parts[0].settings['knots'])
+    assert 1.0 < knots[0] < knots[-1] < 18.0
+    found = extended(problem, base, screen(problem, base, parts)[0]).values[5:11]
+    np.testing.assert_allclose(found - found[-1], 0.3 - 0.3 * np.minimum(knots / 15.0, 1.0) ** 2,
+                               atol=0.05)
+
+
+@pytest.mark.parametrize('axis', ['climb', 'surge'])
+def test_what_leans_is_no_candidate_where_metres_stand_for_the_angle(plain_flight, axis):
+    data = replace(axis_data([plain_flight], 'roll'), axis=axis)
+    parts, _ = candidates(Problem(data, data.train), EFFECTS)
+    assert not {'pendulum_stiffness', 'mode:loose_load/leaning', 'gyroscopic_coupling'} & {
+        word for part in parts for word in (part.effect.name, part.effect.label)}
+
+
 def test_a_curve_holds_its_last_value_outside_the_training():
     """The slope at the end of a curve says nothing about what follows."""
     knots = np.linspace(-0.3, 0.3, 6)
@@ -845,6 +873,9 @@ def test_effects_that_the_data_cannot_show_are_left_out_and_told(plain_flight):
     data = axis_data([replace(bare, battery_v=None, rates=rates)], 'roll')
     why = {effect.name: effect.prepare(data) for effect in EFFECTS}
     assert why['battery_sag'] == 'the flight holds no battery voltage'
+    unmeasured = axis_data([replace(bare, battery_v=np.zeros(bare.n))], 'roll')
+    sag = next(effect for effect in EFFECTS if effect.name == 'battery_sag')
+    assert 'moves by 0.000 V only' in sag.prepare(unmeasured)
     assert 'was not measured throughout' in why['gyroscopic_coupling']
 
 

@@ -14,7 +14,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import covariance, derivative_steps, fit
-from quad_sysid.explain.ladder import Ladder, _believed, _Climb, explain
+from quad_sysid.explain.ladder import Ladder, _believed, _Climb, explain, resampled
 from quad_sysid.explain.models import Models
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Part
@@ -39,22 +39,39 @@ def test_friction_stands_on_the_first_rung_and_comes_again(rubbed_answer):
     assert told.verdict.rungs[1] == pytest.approx(told.verdict.after)
 
 
-@pytest.mark.parametrize(('says', 'least'), [('shape:rate/smooth', 0.4),
-                                             ('coulomb_friction/stribeck', 2.0)])
-def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch, says, least):
-    monkeypatch.setattr('quad_sysid.explain.ladder.LEAST_OF_BEST', least)
-    told = rubbed_answer.findings
-    problem, found = told.problem, told.search
-    parts, _ = candidates(problem, EFFECTS)
-    part = next(one for one in parts if one.effect.label == says)
+def says(told, label: str) -> SearchResult:
+    """A search that found this effect alone."""
+    problem, base = told.problem, told.search.base
+    part = next(one for one in candidates(problem, EFFECTS)[0] if one.effect.label == label)
     start = coordinates(part.effect.parameters,
                         part.effect.starts(problem.data, part.settings)[0])
-    reference = fit(problem, Structure((part,)), np.insert(found.base.theta, -4, start))
-    only = SearchResult(found.base, (Scored(reference, 9.0), Scored(found.base, 0.0)), {})
-    ladder = explain(problem, only, parts)
+    reference = fit(problem, Structure((part,)), np.insert(base.theta, -4, start))
+    return SearchResult(base, (Scored(reference, 9.0), Scored(base, 0.0)), {})
+
+
+@pytest.mark.parametrize(('label', 'least'), [('shape:rate/smooth', 0.4),
+                                              ('coulomb_friction/stribeck', 2.0)])
+def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch, label, least):
+    monkeypatch.setattr('quad_sysid.explain.ladder.LEAST_OF_BEST', least)
+    told = rubbed_answer.findings
+    ladder = explain(told.problem, says(told, label), candidates(told.problem, EFFECTS)[0])
     assert ladder.rungs[1].labels == ('coulomb_friction',)
     assert ladder.rungs[1].explains_pct > 90.0
     assert ladder.answer == 1
+
+
+def test_what_the_reference_lacks_does_not_come_again_where_only_that_suffices(
+    rubbed_answer, monkeypatch
+):
+    told = rubbed_answer.findings
+    only = says(told, 'shape:rate/smooth')
+    monkeypatch.setattr('quad_sysid.explain.ladder.ENOUGH', 101.0)
+    ladder = explain(told.problem, only, candidates(told.problem, EFFECTS)[0])
+    assert (ladder.rungs[1].labels, ladder.answer) == (('coulomb_friction',), 1)
+    assert ladder.rungs[-1].labels == ('shape:rate/smooth',)
+    assert resampled(told.problem, only, ladder)[1]['coulomb_friction'] > 0.5
+    monkeypatch.setattr(Ladder, 'sufficient', lambda *_: len(ladder.rungs) - 1)
+    assert resampled(told.problem, only, ladder)[1] == {'coulomb_friction': 0.0}
 
 
 @pytest.mark.parametrize(('exponent', 'believed'), [(2.0, True), (12.0, False)])
@@ -163,6 +180,18 @@ def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answe
     assert rubs == 0.75
     assert rival == ('unlisted_physics', 0.25)
     assert drags == pytest.approx(1.0 / (1.0 + np.exp(-4.0)))
+
+
+def test_rivals_that_are_equally_probable_stand_in_the_order_of_their_names(rubbed_answer):
+    """And not in that of a set, which differs from one process to the next."""
+    found = rubbed_answer.findings
+    parts = {part.effect.name: part for part in candidates(found.problem, EFFECTS)[0]}
+    drag, base = parts.pop('quadratic_drag'), found.search.base
+    drags, others = (replace(base, structure=Structure(tuple(each)))
+                     for each in ([drag], list(parts.values())[:12]))
+    search = SearchResult(base, (Scored(drags, 0.0), Scored(others, 0.0)), {})
+    _, (rivals,) = accept._posterior(search, drags, found.ladder)
+    assert [name for name, _ in rivals] == sorted(list(parts)[:12])
 
 
 @pytest.mark.parametrize('because', ['it runs away', 'its prior excludes its parameters'])

@@ -19,7 +19,9 @@ from quad_sysid.effects.events import Held, PeriodicDelay
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
+from quad_sysid.explain.ladder import _believed
 from quad_sysid.explain.models import Models
+from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import axis_data, slice_of
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight
@@ -251,6 +253,40 @@ def test_a_law_that_another_one_hides_is_found_beside_it():
     assert set(best.labels) == {'coulomb_friction', 'quadratic_drag'}
 
 
+@pytest.mark.parametrize(('changes', 'label', 'truth'), [
+    ({'torque': lambda t, *_: 2.0 if 6.77 < t < 7.9 else 0.0}, 'event/torque for a while',
+     (6.77, 1.13, 2.0)),
+    ({'torque': lambda t, *_: 0.8 if t > 7.27 else 0.0}, 'step_event/torque', (7.27, 0.8)),
+    ({'command': lambda t, u, _: 0.8 * u if t > 8.7 else u}, 'step_event/gain', (8.71, -0.2)),
+])
+def test_what_happens_at_a_time_is_found_wherever_it_falls(changes, label, truth):
+    """Between the times of a grid, and outside the part on which many starts are tried first."""
+    data = axis_data([fly(Axis(**changes), 3, LONGER)], 'roll')
+    events = [e for e in EFFECTS if e.name in ('event', 'step_event')]
+    best = search(Problem(data, data.train), events).best
+    assert best.structure.labels == (label,)
+    assert best.values[5] == pytest.approx(truth[0], abs=0.05 if 'torque' in label else 0.3)
+    assert best.values[6 : 5 + len(truth)] == pytest.approx(truth[1:], rel=0.15)
+
+
+def test_an_event_is_as_probable_however_late_the_excitation_began(monkeypatch):
+    """Ten minutes on the ground before it are none of the event's prior, nor of the ladder's."""
+    flown, late = fly(Axis(torque=lambda t, *_: 0.8 if t > 7.27 else 0.0), 3, LONGER), 600.0
+    data = axis_data([flown], 'roll')
+    evidence = []
+    for begin in (0.0, late):
+        monkeypatch.setattr(type(data), 'clock', property(
+            lambda seen, begin=begin: begin + seen.whole[1] * seen.dt))
+        problem, base = based(data)
+        score = score_of(problem, base, 'step_event/torque')
+        found = extended(problem, base, score)
+        assert found.values[5] == pytest.approx(begin + 7.27, abs=0.05)
+        assert _believed(Projected(found.structure, found.theta, np.zeros(0)))
+        evidence.append(found.evidence - base.evidence)
+    assert evidence[0] > 20.0
+    assert evidence[0] - evidence[1] < math.log(late / 30.0) + 1.0
+
+
 def test_of_a_long_flight_a_search_sees_blocks_and_what_leads_is_fitted_on_all(
     rubbed, monkeypatch
 ):
@@ -281,6 +317,20 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
         np.testing.assert_allclose(other[:, here], one[:, at], atol=1e-12)
         plain = Flight(whole, whole.stretches).driven(Structure(), base)[0]
         assert np.std(one - plain) > 0.1 * np.std(plain)
+
+
+def test_the_clock_of_motors_that_hold_a_command_is_found_in_a_flight_of_some_length():
+    """There a step of the derivative by its frequency must not turn it by radians."""
+    kept = [0.0]
+
+    def held(t, u, _volts):
+        if round(t / 0.004) % 5 == 0:
+            kept[0] = u
+        return kept[0]
+
+    problem, base = based(axis_data([fly(Axis(command=held), 4)], 'roll'))
+    found = extended(problem, base, score_of(problem, base, 'shape:delay:time/held'))
+    assert found.values[5] == pytest.approx(50.0, abs=3e-4)
 
 
 def test_every_effect_moves_the_innovations_as_its_derivatives_say() -> None:

@@ -448,7 +448,7 @@ def _posterior(
         for scored, p in zip(search.all, search.probabilities(), strict=True):
             left = Counter(scored.names) - finer
             if left >= other_names:
-                alternatives = set(left - other_names) or {'nothing'}
+                alternatives = sorted(left - other_names) or ['nothing']
                 for other in alternatives:
                     share[other] += float(p) / len(alternatives)
         if name not in best_names:

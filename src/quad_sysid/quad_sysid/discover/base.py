@@ -160,10 +160,10 @@ def _leading(begun: Sequence[Fit], behind: float = FAR_BEHIND) -> list[Fit]:
 def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Candidate]:
     """Tries that do not fall behind on a part of the rows, each from where it got to there.
 
-    It would miss events, which stay as they are.
+    It would miss what happens at a time, which stays as it is.
     """
     local = [candidate for candidate in tries
-             if any(part.effect.kind == 'event' for part in candidate.structure.parts)]
+             if any(part.effect.happens for part in candidate.structure.parts)]
     apart = [candidate for candidate in tries if candidate not in local]
     given = {candidate.structure.labels: candidate for candidate in apart[::-1]}
     best: dict[frozenset[str], Fit] = {}

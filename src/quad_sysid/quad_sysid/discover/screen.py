@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve, find_peaks, lfilter
 from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.constants import FEW_STARTS, PER_NONLINEAR
-from quad_sysid.estimate.fit import Fit, Problem, derivative_steps
+from quad_sysid.estimate.fit import Fit, Problem
 from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
@@ -32,6 +32,8 @@ AT_ONCE = 16
 """Starts of a candidate that are filtered at once: events of a long flight have hundreds."""
 ANSWER_S = 0.5
 """Innovations answer to a pulse for no longer."""
+APART_S = 0.1
+"""Least distance of two edges of a torque: about as long as innovations answer to one."""
 LINES = 4
 LINE_BAND_HZ = (0.1, 16.0)
 BIN = 2.5e-4
@@ -156,11 +158,11 @@ class _Beside(Trajectory):
         """The best start and score of a candidate; None where none is physical.
 
         Of many starts those are scored that lead on the short part of the flight. It would miss
-        events.
+        what happens at a time.
         """
         starts = self.starts(part)
         short = self.on_short_problem
-        if short is not None and len(starts) > FEW_STARTS and part.effect.kind != 'event':
+        if short is not None and len(starts) > FEW_STARTS and not part.effect.happens:
             nats = [-math.inf if s is None else s.nats for s in short.scored(part, starts)]
             starts = [starts[i] for i in np.argsort(nats)[: -FEW_STARTS - 1 : -1]]
         scores = (s for s in self.scored(part, starts) if s is not None)
@@ -193,7 +195,7 @@ class _Beside(Trajectory):
         if short_problem is None:
             return None
         fitted, short_problem.flight.rate = self.fitted, self.fitted.rate[short_problem.index]
-        steps = derivative_steps(short_problem.sizes(fitted.structure))
+        steps = short_problem.steps(fitted.structure, fitted.theta)
         prediction = short_problem.flight.predict(fitted.structure, fitted.theta, steps=steps)
         return None if prediction.jacobian is None else \
             _Beside(short_problem, replace(fitted, prediction=prediction))
@@ -237,20 +239,33 @@ class _Beside(Trajectory):
             starts.append(np.array([1.0 / count[peak], turn - np.round(turn)]))
         return starts
 
+    def edges(self) -> list[float]:
+        """Times (s) at which a torque may begin or end, by the innovations that a step causes."""
+        data, size = self.problem.data, np.abs(self._meeting(np.cumsum(self.answer)))
+        return [float(data.clock[peak]) for peak in _peaks(size, round(APART_S / data.dt))]
+
+    @cached_property
+    def answer(self) -> FloatArray:
+        """Innovations by a unit of acceleration in one cycle, from that cycle on."""
+        flight, dt = self.problem.flight, self.problem.data.dt
+        begin, n = flight.passes[0][0], self.innovation.size
+        pulse = np.zeros((n, 1))
+        pulse[begin] = 1.0
+        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
+        return answer[begin : begin + round(ANSWER_S / dt), 0]
+
+    def _meeting(self, answer: FloatArray) -> FloatArray:
+        """(n,) derivative of the log-likelihood by what causes that answer from each cycle on."""
+        e = self.innovation * self.weight[:, 0] ** 2
+        return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+
     @cached_property
     def backwards(self) -> FloatArray:
         """(n,) derivative of the log-likelihood by the acceleration of each cycle.
 
         The innovations pass backwards through the filter.
         """
-        flight, dt = self.problem.flight, self.problem.data.dt
-        begin, n = flight.passes[0][0], self.innovation.size
-        pulse = np.zeros((n, 1))
-        pulse[begin] = 1.0
-        answer = flight.responses(pulse, self.slope, self.fitted.prediction.filters)
-        answer = answer[begin : begin + round(ANSWER_S / dt), 0]
-        e = self.innovation * self.weight[:, 0] ** 2
-        return -fftconvolve(e, answer[::-1])[answer.size - 1 :]
+        return self._meeting(self.answer)
 
     def correlated(self, effect: Effect) -> FloatArray:
         """(n,) the same by the effect's term: what moves the command acts through the lag."""

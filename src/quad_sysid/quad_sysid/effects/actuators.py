@@ -224,7 +224,7 @@ class BatterySag(Effect):
         if isinstance(volts, str):
             return volts
         used = data.training(volts)
-        if np.ptp(used) < VOLTAGE_MOVES * np.mean(used):
+        if not np.ptp(used) > VOLTAGE_MOVES * np.mean(used):
             return (f'the voltage moves by {np.ptp(used):.3f} V only; fly until it has sunk by '
                     f'{SAG_SHOWS:.0%}')
         return {'reference_v': float(np.mean(used))}

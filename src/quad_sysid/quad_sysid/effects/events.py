@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,7 +27,8 @@ from quad_sysid.model.effect import (
 EDGE_S = 1.0
 """Least distance of an event from the ends of the training segments."""
 GRID_S = 0.5
-"""Distance of the times that are tried; the fit moves the best of them."""
+"""Distance of the times that are tried; the fit moves the best of them. A change of torque shows
+for a shorter time, until the filter takes it for a disturbance: its edges are tried as well."""
 HARMONICS = 6
 """Harmonics of a delay that repeats itself: nine tenths of a saw's variance."""
 FADING = 0.25
@@ -60,12 +62,35 @@ class Repeating(Effect):
 class Event(Torque):
     """A torque that begins at a time, the first parameter."""
 
+    happens = True
     size = size_of_term
     lengths: tuple[tuple[float, ...], ...] = ((),)
     """Start values of the parameters between the time and the size."""
 
+    def prepare(self, data: AxisData) -> Settings | str:
+        settings = super().prepare(data)
+        if isinstance(settings, str) or not self.happens:
+            return settings
+        return {**settings, 'until': float(data.clock[-1])}
+
+    def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
+        if self.happens:  # at any time of the flight, however late it began to be excited
+            sizes = np.r_[max(float(sizes[0]), settings.get('until', 0.0)), sizes[1:]]
+        return super().precision(settings, sizes)
+
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
+
+    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
+        starts, data = self.starts(left.data, settings), left.data
+        if self.term != 'torque':
+            return starts
+        now = data.clock
+        edges = sorted(t for t in left.edges() if any(
+            now[a] + EDGE_S <= t < now[b - 1] - EDGE_S for a, b in data.train))
+        timed = len(self.parameters) - 1  # begin, or begin and end
+        return [*starts, *(np.array([t[0], *np.diff(t), 0.0])
+                           for t in itertools.combinations(edges, timed))]
 
     def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([-1e6, *p[1:]])  # it happened long before
@@ -73,6 +98,8 @@ class Event(Torque):
 
 class Periodic(Repeating, Event):
     """A term that swings; its phase differs from flight to flight."""
+
+    happens = False
 
     def __init__(self, term: str, name: str, **more: str) -> None:
         self.term, unit = term, UNITS[term]

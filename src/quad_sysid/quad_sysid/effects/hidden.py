@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from quad_sysid.contract import FloatArray
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.effects.constants import SLOW_MOVES
 from quad_sysid.effects.curves import COUNT, Shape, Smooth, over_knots, signal_of
 from quad_sysid.effects.torques import Torque
@@ -216,6 +216,7 @@ class Load(Effect):
         self.name, self.variant = ('mode:soft_mount', '') if moved == 'driven' \
             else ('mode:loose_load', moved)
         self.signals, self.parameters = LOADS[moved]
+        self.axes = AXES if moved == 'leaning' else ()
 
     def _inputs(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What pulls the mass and how its mount moves, per unit of z."""
@@ -497,7 +498,7 @@ HIDDEN: tuple[Effect, ...] = (
             Spec('stiffness', 'rad/s² per rad'),
         ),
         lambda s, p: -p[1] * np.sin(required(s.hidden)[0]), system=_relaxing, states=1,
-        kind='named', variant='from the rate',
+        kind='named', variant='from the rate', axes=AXES,
     ),
     Linear(
         'mode:swinging', ('rate', 'history'),

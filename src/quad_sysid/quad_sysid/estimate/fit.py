@@ -50,6 +50,8 @@ BASE_STD = 30.0
 that it does not draw an estimate; as all structures have it, comparisons hardly depend on it."""
 NULL_BASE, FIXED_STD = (0.0, math.log(1e-5), math.log(1e-6), 0.0, 0.0), 1e-6
 """Coordinates of a base whose terms are nothing, and how far one that is held may be off."""
+TURN = 0.1
+"""The most by which a step of a derivative turns the phase of what repeats itself, rad."""
 SMALL_NATS = 0.02
 """Gain of evidence, nats, below which a fit has converged: no verdict depends on so little."""
 LONGEST_STEP = 1.5
@@ -220,6 +222,19 @@ class Problem:
         out[self.held_terms] = FIXED_STD
         return out
 
+    def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
+        """(p,) steps of numerical derivatives at theta (p,).
+
+        What repeats itself is moved by no more than TURN at the flight's end.
+        """
+        out, p = derivative_steps(self.sizes(structure)), structure.natural(theta)
+        last = float(self.data.clock[-1])
+        for part, where in structure.placed():
+            turned = 2.0 * math.pi * part.effect.repeats_hz(p[where]) * last
+            if turned > 0.0:  # by a frequency, whose coordinate is its logarithm
+                out[where.start] = min(out[where.start], TURN / turned)
+        return out
+
     def centres(self, structure: Structure) -> FloatArray:
         """(p,) prior mean of each parameter, in the coordinates of the fit."""
         out = np.array([s.centre for s in structure.specs])
@@ -299,7 +314,6 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     centres = problem.centres(structure)
     positive = np.array([s.positive and not s.log for s in structure.specs])
     logs = np.array([s.log for s in structure.specs])
-    steps = derivative_steps(sizes)
 
     def evaluated(
         point: FloatArray, initial: FloatArray, sweeps: int, *, by: FloatArray | None = None
@@ -320,6 +334,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     theta = starts[0].astype(float)
     if len(starts) > 1:
         theta = max(starts, key=lambda start: evaluated(start, initial, 1)[1]).astype(float)
+    steps = problem.steps(structure, theta)
     predicted, value, tail = evaluated(theta, initial, 3, by=steps)
     if predicted is None or not math.isfinite(value):
         raise FloatingPointError('the start runs away')

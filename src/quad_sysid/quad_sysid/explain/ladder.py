@@ -71,7 +71,7 @@ class Ladder:
     rungs: tuple[Rung, ...]
     blocks: int = 0
     reproducible: dict[str, float] = field(default_factory=dict)
-    """Label of each effect of the answer → share of the resampled flights in which it is in the
+    """Name of each effect of the answer → share of the resampled flights in which it is in the
     answer, whatever its variant."""
 
     @property
@@ -228,9 +228,10 @@ def _added(model: Projected) -> Effect:
 def _believed(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
     effect, values = _added(model), model.theta[model.structure.slices()[-1]]
-    return effect.kind != 'named' or all(
-        parameter.spread is None or abs(value - parameter.centre) <= BELIEVED * parameter.spread
-        for parameter, value in zip(effect.parameters, values, strict=True))
+    sizes = np.array([spec.spread or np.inf for spec in effect.parameters])
+    precision = np.diag(effect.precision(model.structure.parts[-1].settings, sizes))
+    away = values - [spec.centre for spec in effect.parameters]
+    return effect.kind != 'named' or bool(np.all(precision * away**2 <= BELIEVED**2))
 
 
 class _Climb:
@@ -319,8 +320,9 @@ class _Climb:
         shares: list[tuple[float, Part, FloatArray]] = []
         for part in parts:
             effect = part.effect
-            if effect.kind == 'named' and effect.label not in have and not effect.wanders \
-                    and type(effect).starts_by_residual is Effect.starts_by_residual:
+            if effect.kind == 'named' and effect.label not in have and not effect.wanders and (
+                    effect.happens
+                    or type(effect).starts_by_residual is Effect.starts_by_residual):
                 shares += _share(trajectory, part, q, left)
         best: dict[str, tuple[float, Part, FloatArray]] = {}
         for law in sorted(shares, key=lambda law: -law[0]):
@@ -394,6 +396,7 @@ def resampled(
     rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(rows, 0, block.size - 1)]
     rungs = ladder.rungs
+    names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     counts: Counter[str] = Counter()
@@ -408,7 +411,8 @@ def resampled(
             if enough:
                 total = missed[: enough + 1] @ weights[draw, of_window]
                 causes = -np.diff(total) >= NEGLIGIBLE * total[0]
-                counts.update(set().union(*compress(added, causes)))
+                # the whole reference, on the last rung, may lack a law that did for its curve
+                counts.update(names[enough] & set().union(*compress(added, causes)))
     answer = rungs[ladder.answer].model.structure.parts
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 

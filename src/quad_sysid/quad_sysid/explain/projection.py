@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
-from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, limited
+from quad_sysid.estimate.fit import Fit, Problem, limited
 from quad_sysid.model.data import Windows
 from quad_sysid.model.effect import Part
 from quad_sysid.model.flight import Prediction, Run
@@ -223,9 +223,9 @@ class Projection:
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(own,) steps of numerical derivatives."""
-        sizes, count = self.problem.sizes(structure), theta.size - self.noise.size
+        count = theta.size - self.noise.size
         logs = np.array([spec.log for spec in structure.specs])[:count]
-        steps = derivative_steps(sizes)
+        steps = self.problem.steps(structure, theta)
         return np.maximum(steps[:count], 1e-3 * np.abs(np.where(logs, 0.0, theta[:count])))
 
     @cached_property

@@ -171,8 +171,16 @@ class AxisData:
 
     @property
     def clock(self) -> FloatArray:
-        """(n,) time of each sample since the flight's first, s."""
+        """(n,) time of each sample since the first flight's first, s, the flights end to end."""
         return self.whole[1].astype(np.float64) * self.dt
+
+    @property
+    def since_start(self) -> FloatArray:
+        """(n,) time of each sample since the first of its own flight, s."""
+        flight, rows = self.whole
+        begins = np.array([start for start, _ in flight.flights] or [0])
+        own = begins[np.searchsorted(begins, rows, side='right') - 1]
+        return (rows - own).astype(np.float64) * self.dt
 
     @property
     def whole(self) -> tuple[AxisData, NDArray[np.int64]]:
@@ -191,14 +199,14 @@ class AxisData:
     def signal(self, name: str) -> FloatArray | str:
         """(n,) a signal by its word, as it was measured; or a text: why it cannot be used.
 
-        Words: rate, angle, command, throttle, battery, time; other rate, other angle and other
-        command, followed by 1 or 2 for the first or second of `other_axes`.
+        Words: rate, angle, command, throttle, battery, time (of each flight); other rate, other
+        angle and other command, followed by 1 or 2 for the first or second of `other_axes`.
         """
         if name.startswith('other'):
             return self._of_another(name[:-2], int(name[-1]) - 1)
         signals: dict[str, FloatArray | None] = {
-            'time': self.clock, 'angle': self.angle, 'battery': self.battery_v, 'rate': self.rate,
-            'command': self.command, 'throttle': self.control[:, 0],
+            'time': self.since_start, 'angle': self.angle, 'battery': self.battery_v,
+            'rate': self.rate, 'command': self.command, 'throttle': self.control[:, 0],
         }
         values = signals[name]
         return f'the flight holds no {MISSING[name]}' if values is None else values

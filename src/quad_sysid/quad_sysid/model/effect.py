@@ -87,11 +87,13 @@ class Signals:
     other_commands: tuple[FloatArray, FloatArray]
     """Normalised."""
     time: FloatArray
-    """s from the first sample."""
+    """s from the first sample, several flights end to end."""
     other_angles: tuple[FloatArray, FloatArray] | None = None
     """rad"""
     motors: tuple[FloatArray, ...] | None = None
     """Commands of the motors, normalised."""
+    since_start: FloatArray | None = None
+    """s from the first sample of its own flight; None: as `time`."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
     sent: FloatArray | None = None
@@ -206,6 +208,10 @@ class FitResidual(Protocol):
         """Frequencies (Hz) at which the effect's term swings."""
         ...
 
+    def edges(self) -> Sequence[float]:
+        """Times (s) at which a torque may begin or end."""
+        ...
+
     def steps(self) -> Sequence[FloatArray]:
         """Steps in which motors may take their commands, each with one level."""
         ...
@@ -233,6 +239,8 @@ class Effect:
     states: int = 0
     """Number of hidden states, which `advance` drives by the signals; of what acts on single
     motors, of each."""
+    happens: bool = False
+    """Whether it begins at a time, which a part of the flight may not hold."""
     wanders: bool = False
     """Whether it is a coefficient that the filter follows: noise whose RMS and correlation time
     (s) are the two parameters; `torque` is linear in the coefficient, s.hidden[0], and zero

@@ -152,6 +152,7 @@ class Flight:
         self._known: dict[str, Any] = {
             'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
             'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
+            'since_start': data.since_start + 0.5 * data.dt,
             'other_commands': tuple(np.ascontiguousarray(data.control[:, columns].T)),
             'motors': tuple(np.ascontiguousarray(data.motors.T)),
             'other_angles': None if data.other_angles is None

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.effects.curves import Shape, signal_of
 from quad_sysid.effects.events import Clocked
 from quad_sysid.estimate.fit import SETTLE_S, Fit, Problem, covariance
 from quad_sysid.loop.from_model import signals_at, torque_at
@@ -168,6 +169,8 @@ def over(replay: Replay, part: Part) -> Over:
     name = signal.rstrip(' 12') if signal.startswith('other') else signal
     field, unit = OVER[name]
     values = getattr(replay.signals, field)
+    if name == 'time' and isinstance(part.effect, Shape):
+        values = signal_of(replay.signals, name)
     if 'other' in name:
         which, product = (*part.effect.others, 0)[0], name.startswith('product')
         axis, beside = data.other_axes[which], np.ones if product else np.zeros
