@@ -22,7 +22,7 @@ MODULES = {
     ],
     'launch.conditions': ['IfCondition', 'UnlessCondition'],
     'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
-    'launch.substitutions': ['LaunchConfiguration'],
+    'launch.substitutions': ['LaunchConfiguration', 'TextSubstitution'],
     'launch_ros': [],
     'launch_ros.actions': ['Node'],
     'launch_ros.parameter_descriptions': ['ParameterValue'],
@@ -47,6 +47,7 @@ def described(path: Path, **given: str) -> dict[str, list[mock._Call]]:
     share = modules['ament_index_python.packages'].get_package_share_directory
     share.side_effect = lambda package: str(ROOT / 'src' / package)
     modules['launch.substitutions'].LaunchConfiguration.side_effect = '<{}>'.format
+    modules['launch_ros.parameter_descriptions'].ParameterValue.side_effect = parameter_value
     context = mock.Mock(launch_configurations=Given(given))
     deferred = modules['launch.actions'].OpaqueFunction
     deferred.side_effect = lambda function: function(context)
@@ -54,6 +55,13 @@ def described(path: Path, **given: str) -> dict[str, list[mock._Call]]:
         runpy.run_path(str(path))['generate_launch_description']()
     return {one: getattr(modules[name], one).call_args_list
             for name, classes in MODULES.items() for one in classes}
+
+
+def parameter_value(value: object, value_type: type) -> object:
+    """As Jazzy's: a substitution is converted to the type, plain text must be text already."""
+    if isinstance(value, str) and value_type is not str:
+        raise TypeError(f'{value!r} is not an instance of {value_type}')
+    return value
 
 
 def names(calls: list[mock._Call]) -> set[str]:
@@ -66,6 +74,7 @@ def test_what_it_uses_starts_and_includes_exists(path: Path, log: str) -> None:
     made = described(path, log=log)
     used, declared = set(re.findall(r'<(\w+)>', repr(made))), names(made['DeclareLaunchArgument'])
     assert used | ({'log'} & declared) == declared
+    assert all(call.kwargs.get('description') for call in made['DeclareLaunchArgument'])
     for node in made['Node']:
         package, executable = node.kwargs['package'], node.kwargs['executable']
         folder = ROOT / 'src' / package
