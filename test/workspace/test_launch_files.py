@@ -70,7 +70,11 @@ def names(calls: list[mock._Call]) -> set[str]:
 
 @pytest.mark.parametrize('log', ['true', 'inside'])
 @pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
-def test_what_it_uses_starts_and_includes_exists(path: Path, log: str) -> None:
+def test_what_it_uses_starts_and_includes_exists(
+    path: Path, log: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path('<params_file>').touch()
     made = described(path, log=log)
     used, declared = set(re.findall(r'<(\w+)>', repr(made))), names(made['DeclareLaunchArgument'])
     assert used | ({'log'} & declared) == declared
@@ -90,3 +94,18 @@ def test_what_it_uses_starts_and_includes_exists(path: Path, log: str) -> None:
     for include, other in zip(made['IncludeLaunchDescription'], included, strict=True):
         handed_on = dict(include.kwargs['launch_arguments'])
         assert set(handed_on) <= names(other['DeclareLaunchArgument'])
+
+
+@pytest.mark.parametrize('path', [p for p in FILES if p.stem in {'bridge.launch', 'rig.launch'}],
+                         ids=lambda p: p.name)
+def test_a_logger_is_asked_for_in_one_of_three_words(path: Path) -> None:
+    declared = described(path, params_file='')['DeclareLaunchArgument']
+    log = next(one for one in declared if one.args[0] == 'log')
+    assert log.kwargs['choices'] == ['true', 'inside', 'false']
+
+
+def test_a_file_of_parameters_that_is_not_there_starts_nothing() -> None:
+    """Its bounds and guards would be missing."""
+    bridge = ROOT / 'src/quad_bridge/launch/bridge.launch.py'
+    with pytest.raises(ValueError, match='params_file: is no file: found nowhere'):
+        described(bridge, params_file='nowhere.yaml')

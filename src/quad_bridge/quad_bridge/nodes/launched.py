@@ -17,6 +17,8 @@ from launch.substitutions import LaunchConfiguration, TextSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from quad_bridge.errors import BadInputError
+
 TEXTS = List[str]  # noqa: UP006
 COMMON = ('params_file', 'namespace')
 """Arguments of every launch file."""
@@ -86,9 +88,14 @@ MEANS = {
 """What each launch argument means, as `ros2 launch … -s` shows it."""
 
 
+CHOICES = {'log': ['true', 'inside', 'false']}
+"""Arguments that are one of these words: `log:=yes` would fly and record nothing."""
+
+
 def argument(name: str, default: str) -> Any:
     """Declaration of a launch argument, with what it means."""
-    return DeclareLaunchArgument(name, default_value=default, description=MEANS[name])
+    return DeclareLaunchArgument(name, default_value=default, description=MEANS[name],
+                                 choices=CHOICES.get(name))
 
 
 def arguments(*names: str, **defaults: str) -> list[Any]:
@@ -109,9 +116,16 @@ def typed(text: str, kind: Any) -> Any:
 
 
 def node(context: Any, package: str, name: str, defaults: Mapping[str, Any]) -> Any:
-    """The node with these parameters over those of the file."""
+    """The node with these parameters over those of the file.
+
+    Raises BadInputError for a file that is not there: launch warns and starts the node without it,
+    with other bounds of gains and other guards than were meant.
+    """
     arguments = context.launch_configurations
     files = [arguments['params_file']] if arguments['params_file'] else []
+    for file in files:
+        if not Path(file).is_file():
+            raise BadInputError('params_file', 'is no file', file)
     return Node(
         package=package, executable=name, name=name, namespace=arguments['namespace'],
         output='screen', parameters=[*files, *([dict(defaults)] if defaults else [])],
