@@ -159,7 +159,7 @@ lock:  ## pin anew what requirements/*.in ask for (needs uv and a network)
 	$(PIN) --python-version 3.12 jazzy.in >jazzy.txt
 
 shell: build  ## a shell with the venv and the workspace sourced
-	@$(RUN) exec bash --norc
+	@$(RUN) if [ -t 0 ]; then bash --norc || :; else exec bash --norc; fi  # the last command typed is no failure of make
 
 clean:  ## remove what make made, demo_out*/ excepted
-	rm -rf .venv build install log dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv build install log dist site firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -9,6 +9,8 @@ from node_process import recorded
 from probe import content, stamp
 from rosbags.highlevel import AnyReader
 
+from quad_bridge.craft import LAYOUTS
+
 TOPICS = ('/setpoint/attitude', '/setpoint/rates', '/excitation/setpoint', '/excitation/applied')
 RECORDING = 'bag_logger: recording'
 LOST, WRITTEN = 'messages lost (middleware)', 'messages written'
@@ -135,3 +137,13 @@ def test_what_is_published_comes_into_the_next_bag_where_the_first_was_lost(
     with AnyReader([bag]) as reader:
         qos = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
     assert [q.reliability.name for q in qos['/setpoint/rates']] == ['RELIABLE']
+
+
+def test_only_a_description_other_than_its_own_is_said_to_be_left_aside(probe, logger):
+    topic = '/robot_description'
+    node = logger(topics=[topic], robot_description='x')
+    probe.advertise(topic)
+    probe.deliver(topic, {'data': LAYOUTS['x'].to_urdf()})
+    probe.deliver(topic, {'data': LAYOUTS['plus'].to_urdf()})
+    node.says('that of another node is left aside')
+    assert node.said.count('left aside') == 1

@@ -41,6 +41,11 @@ def test_where_one_flight_alone_has_an_effect_it_is_not_said_that_nothing_change
     assert 'in one of the two only, not compared: roll quadratic_drag.coefficient' in said
 
 
+def test_where_one_flight_has_no_model_it_is_not_said_that_nothing_changed():
+    said = str(compare(flight('a', gain=1.0, trim=0.0), [flight('b', trim=0.0)]))
+    assert '  nothing that both have changed, at' in said
+
+
 def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_answer):
     """As the base of the other flight does, in which no effects were looked for."""
     model = rubbed_answer.model

@@ -57,6 +57,14 @@ def imported(options: ColumnOptions, out: Path):
     return import_log(read_columns(options), out)
 
 
+def test_the_proposed_command_writes_where_the_bag_was_wanted(tmp_path, capsys):
+    table = {'t': columns()['t'], 'gyro_x': columns()['rate'], 'cmd_roll': columns()['u']}
+    file = write(tmp_path / 'flight.csv', table)
+    assert main(['import', str(file), '--out', str(tmp_path / 'mine')]) == 2
+    (proposed,) = re.findall(r'^quad-sysid import .*', capsys.readouterr().out, re.MULTILINE)
+    assert shlex.split(proposed)[-2:] == ['--out', str(tmp_path / 'mine')]
+
+
 @pytest.fixture
 def options(tmp_path: Path) -> ColumnOptions:
     return ColumnOptions(

@@ -114,7 +114,8 @@ def test_the_rollback_shows_what_it_would_send_and_needs_ros_to_send_it(
     said = printed(main, 'rollback', '--folder', folder, '--print')
     assert said.startswith('set 1 of')
     assert said.endswith('roll.rate.kp 0.07, roll.angle.kp 3\n')
-    assert 'quad-tune rollback: needs ROS 2' in refused(main, 'rollback', '--folder', folder)
+    told = refused(main, 'rollback', '--folder', folder)
+    assert 'quad-tune rollback: needs ROS 2 (rclpy is missing); run it' in told
 
 
 @pytest.mark.parametrize(

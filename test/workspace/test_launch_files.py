@@ -22,7 +22,7 @@ MODULES = {
     ],
     'launch.conditions': ['IfCondition', 'UnlessCondition'],
     'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
-    'launch.substitutions': ['LaunchConfiguration'],
+    'launch.substitutions': ['LaunchConfiguration', 'TextSubstitution'],
     'launch_ros': [],
     'launch_ros.actions': ['Node'],
     'launch_ros.parameter_descriptions': ['ParameterValue'],
@@ -47,6 +47,7 @@ def described(path: Path, **given: str) -> dict[str, list[mock._Call]]:
     share = modules['ament_index_python.packages'].get_package_share_directory
     share.side_effect = lambda package: str(ROOT / 'src' / package)
     modules['launch.substitutions'].LaunchConfiguration.side_effect = '<{}>'.format
+    modules['launch_ros.parameter_descriptions'].ParameterValue.side_effect = parameter_value
     context = mock.Mock(launch_configurations=Given(given))
     deferred = modules['launch.actions'].OpaqueFunction
     deferred.side_effect = lambda function: function(context)
@@ -56,16 +57,28 @@ def described(path: Path, **given: str) -> dict[str, list[mock._Call]]:
             for name, classes in MODULES.items() for one in classes}
 
 
+def parameter_value(value: object, value_type: type) -> object:
+    """As Jazzy's: a substitution is converted to the type, plain text must be text already."""
+    if isinstance(value, str) and value_type is not str:
+        raise TypeError(f'{value!r} is not an instance of {value_type}')
+    return value
+
+
 def names(calls: list[mock._Call]) -> set[str]:
     return {call.args[0] for call in calls}
 
 
 @pytest.mark.parametrize('log', ['true', 'inside'])
 @pytest.mark.parametrize('path', FILES, ids=lambda p: p.name)
-def test_what_it_uses_starts_and_includes_exists(path: Path, log: str) -> None:
+def test_what_it_uses_starts_and_includes_exists(
+    path: Path, log: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path('<params_file>').touch()
     made = described(path, log=log)
     used, declared = set(re.findall(r'<(\w+)>', repr(made))), names(made['DeclareLaunchArgument'])
     assert used | ({'log'} & declared) == declared
+    assert all(call.kwargs.get('description') for call in made['DeclareLaunchArgument'])
     for node in made['Node']:
         package, executable = node.kwargs['package'], node.kwargs['executable']
         folder = ROOT / 'src' / package
@@ -81,3 +94,18 @@ def test_what_it_uses_starts_and_includes_exists(path: Path, log: str) -> None:
     for include, other in zip(made['IncludeLaunchDescription'], included, strict=True):
         handed_on = dict(include.kwargs['launch_arguments'])
         assert set(handed_on) <= names(other['DeclareLaunchArgument'])
+
+
+@pytest.mark.parametrize('path', [p for p in FILES if p.stem in {'bridge.launch', 'rig.launch'}],
+                         ids=lambda p: p.name)
+def test_a_logger_is_asked_for_in_one_of_three_words(path: Path) -> None:
+    declared = described(path, params_file='')['DeclareLaunchArgument']
+    log = next(one for one in declared if one.args[0] == 'log')
+    assert log.kwargs['choices'] == ['true', 'inside', 'false']
+
+
+def test_a_file_of_parameters_that_is_not_there_starts_nothing() -> None:
+    """Its bounds and guards would be missing."""
+    bridge = ROOT / 'src/quad_bridge/launch/bridge.launch.py'
+    with pytest.raises(ValueError, match='params_file: is no file: found nowhere'):
+        described(bridge, params_file='nowhere.yaml')

@@ -1,6 +1,7 @@
 """What `make shell` offers of `ros2` where ROS 2 is not installed: it starts what was built."""
 
 import os
+import pty
 import subprocess
 from pathlib import Path
 
@@ -53,6 +54,18 @@ def test_what_it_cannot_do_is_one_line(ros2, words, told, request):
     assert (done.returncode, done.stdout) == (2, '')
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
+
+
+def test_leaving_the_shell_is_no_failure_of_make_and_its_script_is_one():
+    make = ['make', '--old-file=build', 'shell']
+    done = subprocess.run(make, cwd=ROOT, input=b'exit 3\n', capture_output=True, check=False)
+    assert done.returncode != 0
+    person, terminal = pty.openpty()
+    os.write(person, b'exit 3\n')
+    done = subprocess.run(make, cwd=ROOT, stdin=terminal, capture_output=True, check=False)
+    os.close(terminal)
+    os.close(person)
+    assert done.returncode == 0
 
 
 @pytest.mark.usefixtures('ros')

@@ -8,15 +8,14 @@ parameter; `ros2 launch quad_bridge bridge.launch.py -s` lists those that are ar
 from typing import Any
 
 from launch import LaunchContext, LaunchDescription
-from launch_ros.parameter_descriptions import ParameterValue
 
-from quad_bridge.nodes.launched import BRIDGE, LOGGER, arguments, deferred, node, values
+from quad_bridge.nodes.launched import BRIDGE, LOGGER, arguments, deferred, node, typed, values
 
 
 def nodes(context: LaunchContext) -> list[Any]:
     """Bridge and logger, which records at once unless `record:=false`."""
     arguments = context.launch_configurations
-    record = ParameterValue(arguments['record'], value_type=bool)
+    record = typed(arguments['record'], bool)
     bridge, logger = values(context, BRIDGE), values(context, LOGGER) | {'autostart': record}
     if arguments['log'] == 'inside':
         bridge |= {'log': 'inside', **{f'bag_logger.{key}': logger[key] for key in logger}}

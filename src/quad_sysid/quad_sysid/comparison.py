@@ -291,12 +291,12 @@ def lines(comparison: Comparison) -> Iterator[str]:
                     yield from wrapped(f'{compared.source}, {axis}: no model ({reason})', '    ',
                                        '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
-        alone = [f'{c.axis} {c.name}' for c in changes
-                 if (c.reference is None) != (c.value is None) and '.' in c.name]
+        one_sided = [c for c in changes if (c.reference is None) != (c.value is None)]
+        alone = [f'{c.axis} {c.name}' for c in one_sided if '.' in c.name]
         if changed:
             yield f'  changed: {", ".join(changed)}'
         elif any(c.p_value is not None for c in changes):
-            yield (f'  nothing {"that both have " if alone else ""}changed, at a level of '
+            yield (f'  nothing {"that both have " if one_sided else ""}changed, at a level of '
                    f'{LEVEL:.0%} for all comparisons together')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'

@@ -8,16 +8,13 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    ExecuteProcess,
-    IncludeLaunchDescription,
-    SetEnvironmentVariable,
-)
+from launch.actions import ExecuteProcess, IncludeLaunchDescription, SetEnvironmentVariable
 from launch.conditions import IfCondition, UnlessCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
+
+from quad_bridge.nodes.launched import argument
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -30,7 +27,7 @@ def generate_launch_description() -> LaunchDescription:
     socket, lockstep = [arguments['link'], '.lockstep'], arguments['lockstep']
     rig = Path(get_package_share_directory('quad_tuning')) / 'launch' / 'rig.launch.py'
     return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=value) for name, value in defaults.items()),
+        *(argument(name, default) for name, default in defaults.items()),
         ExecuteProcess(cmd=stm32, output='screen', condition=UnlessCondition(lockstep)),
         ExecuteProcess(cmd=[*stm32, '--lockstep', socket], output='screen',
                        condition=IfCondition(lockstep)),

@@ -271,8 +271,8 @@ def _publish(command: str) -> Callable[..., str]:
     try:
         from quad_tuning.update_node import publish
     except ImportError as missing:
-        raise BadInputError(f'quad-tune {command}', 'needs ROS 2', missing.name,
-                            'run it where the bridge runs') from missing
+        raise BadInputError(f'quad-tune {command}', f'needs ROS 2 ({missing.name} is missing)',
+                            remedy='run it where the bridge runs') from missing
     return publish
 
 

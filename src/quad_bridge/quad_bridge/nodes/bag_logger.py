@@ -252,10 +252,14 @@ class BagLogger(ManagedNode):
         if data not in self._described:
             if len(self._described) >= MAX_TEXTS:  # a flood
                 return False
-            words = 'the parameter robot_description holds: that of another node is left aside'
-            if self._craft is None:
-                words = description.why_ignored(deserialize_message(data, String).data)
-            self._described[data] = not words
+            text, own = deserialize_message(data, String).data, self._craft
+            if own is None:
+                words = description.why_ignored(text)
+            elif text == own.to_urdf():  # of a bridge that was given the same
+                words = ''
+            else:
+                words = 'the parameter robot_description holds: that of another node is left aside'
+            self._described[data] = own is None and not words
             if words:
                 self.get_logger().warning(words)
         return self._described[data]

@@ -125,7 +125,7 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
                                 remedy=f'use quad-sysid inspect {options.file}')
         content = open_table(options.file, messages=options.messages)
         print(json.dumps(described(content, options.file)) if options.json
-              else '\n'.join(lines(content, options.file)))
+              else '\n'.join(lines(content, options.file, options.out)))
         if options.out is None:
             return 0
         raise BadInputError(f'{options.file}', 'is a table, whose columns need names',

@@ -145,14 +145,14 @@ class Guess:
         return (*(() if {'rate', 'angle'} & used else ('rates',)),
                 *(() if {'control', 'motors'} & used else ('commands',)))
 
-    def command(self, file: Path, axes: Sequence[str] = ()) -> str | None:
+    def command(self, file: Path, axes: Sequence[str] = (), out: Path | None = None) -> str | None:
         """The command line that imports these axes, or all; None without rates or commands."""
         used = self._used(axes or self.axes)
         if self.lacks(axes) or not self.timed:
             return None
-        out = '_'.join([file.name.partition('.')[0], *axes, 'bag'])
+        bag = str(out or '_'.join([file.name.partition('.')[0], *axes, 'bag']))
         return shlex.join(['quad-sysid', 'import', str(file), *as_typed(
-            axes or self.axes, used, self._units_of(used)), '--out', out])
+            axes or self.axes, used, self._units_of(used)), '--out', bag])
 
     def _units_of(self, used: Mapping[str, Sequence[str]]) -> dict[str, str]:
         """The proposed units of these columns."""
@@ -259,7 +259,7 @@ def _axes(triple: Sequence[str]) -> tuple[str, ...]:
     return tuple(axis for axis, name in zip(AXES, triple, strict=True) if name)
 
 
-def lines(table: Table, file: Path) -> Iterator[str]:
+def lines(table: Table, file: Path, out: Path | None = None) -> Iterator[str]:
     """The table of columns, and what to type: a command that was tried before it is printed."""
     guessed, _, reason = _tried(table, file)
     (time,) = guessed.columns.get('time', (None,))
@@ -279,7 +279,7 @@ def lines(table: Table, file: Path) -> Iterator[str]:
         yield from wrapped(line, '  ')
     yield ''
     yield from Text(['column', 'Hz', 'lowest', 'highest', 'guess'], rows, (1, 2, 3)).text()
-    command = guessed.command(file)
+    command = guessed.command(file, out=out)
     yield ''
     if not guessed.timed:
         yield ('no column of time was recognised: add one, name it with --time, or give the rate '
