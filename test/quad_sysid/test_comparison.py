@@ -52,6 +52,17 @@ def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_
     assert alone['damping'].value > 3.0 * beside['damping'].value
 
 
+def test_arrays_of_unlike_units_are_not_compared(refusal):
+    pair = [Flight(unit, {'roll': {'gain': Estimate(1.0, 0.1, f'rad/s² per {unit}')}}, {})
+            for unit in ('V', 'mV')]
+    assert 'roll gain is in rad/s² per V and in rad/s² per mV' in refusal(
+        compare, pair[0], pair[1:])
+    pair = [Flight(unit, {'roll': {'hidden.size': Estimate(1.0, 0.1, unit)}}, {})
+            for unit in ('1', '1/s')]
+    (change,) = compare(pair[0], pair[1:])[0][1]
+    assert (change.difference, change.unit) == (None, '1, then 1/s')
+
+
 def test_many_flights_are_held_to_one_level_together():
     """Of one flight a chance of 0.7 % is a change; of ten that would come by itself too often."""
     before, odd = flight('a', gain=1.0), flight('b', gain=1.38)
