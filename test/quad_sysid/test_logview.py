@@ -245,6 +245,58 @@ def test_a_rate_that_follows_late_is_late_by_its_latency():
     assert none.error_rms_delayed == none.error_rms
 
 
+@pytest.mark.parametrize('hertz', [0.8, 1.5])
+def test_a_slow_rate_that_still_rises_is_not_said_to_overshoot(hertz):
+    """Critically damped, it never goes beyond its set-point; it takes longer than is looked at."""
+    asked = flown()[0]
+    keep = np.exp(-2.0 * np.pi * hertz * DT)
+    rate = lfilter([0.0, (1.0 - keep)**2], [1.0, -2.0 * keep, keep**2], asked)
+    rate += 0.01 * np.random.default_rng(2).standard_normal(len(rate))
+    seen = look(record(asked, rate, 0.1 * asked))
+    figures = seen.whole.axes['roll'].rate_step.figures
+    assert np.isnan(figures.overshoot_pct)
+    assert np.isnan(figures.rise_time_s)
+    assert 'it still rises after 0.5 s' in str(seen)
+    assert 'nan' not in str(seen)
+    assert seen.tree()['axes']['roll']['steps'][0]['overshoot_pct'] is None
+
+
+@pytest.mark.parametrize('hertz', [2.6, 6.2, 18.3])
+def test_the_bandwidth_lies_between_the_lines_of_the_spectrum(hertz):
+    asked = flown()[0]
+    f = np.geomspace(0.5, 60.0, 20_000)
+    keep = np.exp(-2.0 * np.pi * hertz * DT)
+    back = np.exp(-2j * np.pi * f * DT)
+    true = f[np.argmax(np.abs((1.0 - keep) / (1.0 - keep * back)) < np.sqrt(0.5))]
+    rate = lfilter([1.0 - keep], [1.0, -keep], asked)
+    assert look(record(asked, rate, 0.1 * asked)).whole.axes['roll'].loop.bandwidth_hz == \
+        pytest.approx(true, rel=0.03)
+
+
+def test_the_heading_of_a_log_without_commands_may_pass_south():
+    n = 10_000
+    time, zero = DT * np.arange(n), np.zeros(n)
+    heading = np.pi + 0.5 * np.sin(0.6 * time)
+    wanted = (heading + np.pi) % (2.0 * np.pi) - np.pi
+    turned = np.roll(heading, 50)
+    turned[:50] = heading[0]
+    rate = np.gradient(turned, DT)
+    log = ForeignLog(
+        'log', 'a log', Stream(time, np.column_stack([rate, zero, rate])), None,
+        angles=Stream(time, np.column_stack([zero, zero, turned])), axes=('yaw',),
+        attitude_setpoint=Stream(time, np.column_stack([zero, zero, wanted])))
+    (angle,) = look_at(of_log(log)).whole.axes['yaw'].tracking
+    assert angle.error_rms < 0.05
+    assert angle.latency_s == pytest.approx(50 * DT, rel=0.05)
+
+
+def test_white_noise_has_no_peaks_however_short():
+    rng = np.random.default_rng(0)
+    for seconds in (0.6, 1.0, 1.5, 3.0):
+        white = rng.standard_normal(round(seconds / DT))
+        assert not frames(white, np.ones(len(white), bool), DT).peaks()
+
+
 @pytest.mark.parametrize('setpoint', [0.7, 30.0])
 def test_nothing_is_stated_of_a_set_point_that_stands_still(setpoint):
     """Its correlations are rounding, of either sign, or nothing."""

@@ -11,7 +11,7 @@ whose size and decay have the highest evidence on all windows together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -216,7 +216,7 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
     impulse = np.linalg.solve(precision, cross / noise)
     fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power
     mean = np.cumsum(impulse)
-    figures = step_figures(mean, step)
+    figures = _figures(mean, step)
     if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
         return None
     sums = np.tri(m)
@@ -238,6 +238,17 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
                     int(inside.sum()), float(fit), figures,
                     float(max(latency, 0.0) if reached else np.nan),
                     float(windows.largest[inside].max()))
+
+
+def _figures(mean: FloatArray, step: float) -> StepFigures:
+    """The figures of a response; of one that still rises at its end only how far it came.
+
+    Where it would stand is not seen there, so that neither has it gone beyond nor risen to it.
+    """
+    figures, last = step_figures(mean, step), max(2, mean.size // 5)
+    if np.isfinite(figures.settling_time_s) or int(np.argmax(mean)) < mean.size - last:
+        return figures
+    return replace(figures, rise_time_s=np.nan, overshoot_pct=np.nan)
 
 
 def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,

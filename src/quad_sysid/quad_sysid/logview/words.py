@@ -115,6 +115,9 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
 
 def _figures(step: Response) -> str:
     f = step.figures
+    if not np.isfinite(f.overshoot_pct):
+        return (f'slowly: it still rises after {step.time_s[-1]:.2g} s, at '
+                f'{100.0 * step.mean[-1]:.0f} % of it')
     parts = [f'in {_ms(f.rise_time_s)} (10 to 90 %)' if np.isfinite(f.rise_time_s) else
              'without reaching it']
     parts += [f'{f.overshoot_pct:.0f} % overshoot']
@@ -167,7 +170,7 @@ def steps(part: Part) -> Table:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
             rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
-                         f'{f.overshoot_pct:.1f}', _or(1e3 * f.settling_time_s, '.3g'),
+                         _or(f.overshoot_pct, '.1f'), _or(1e3 * f.settling_time_s, '.3g'),
                          _or(1e3 * s.latency_s, '.3g'),
                          f'{100.0 - f.final_error_pct:.0f}', f'{100.0 * s.fit:.0f}',
                          str(s.windows)])
