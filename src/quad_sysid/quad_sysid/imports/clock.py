@@ -36,6 +36,8 @@ UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MAX_ODD = 0.03
 """Share of odd intervals up to which each sample keeps its own cycle."""
+FEW_LOST = 0.9
+"""Share of usual intervals among whole multiples of them down to which the grid has all cycles."""
 MAX_JITTER = 0.1
 """Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
 BLOCK = 16
@@ -268,9 +270,11 @@ def _uneven(steps: FloatArray, interval: float) -> float:
         means = steps[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1)
         low, high = np.quantile(means, (0.05, 0.95))
         if high - low < STEADY * high:
-            whole = np.abs(steps / interval - np.round(steps / interval))
-            if np.quantile(whole, 0.99) <= MAX_JITTER:
-                return in_whole_us(float(steps[np.abs(steps / interval - 1.0) <= UNEVEN].mean()))
+            share = steps / interval
+            near = np.abs(share - 1.0) <= UNEVEN
+            beside = np.abs(share - np.round(share))
+            if near.mean() >= FEW_LOST and np.quantile(beside, 0.99) <= MAX_JITTER:
+                return in_whole_us(float(steps[near].mean()))
             usual = (means >= low) & (means <= high)
             return in_whole_us(float(means[usual].mean()))
     return in_whole_us(float(np.quantile(steps, 1.0 - MAX_ODD)))
