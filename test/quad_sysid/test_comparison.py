@@ -39,6 +39,10 @@ def test_where_one_flight_alone_has_an_effect_it_is_not_said_that_nothing_change
     said = str(compare(before, [other]))
     assert '  nothing that both have changed, at' in said
     assert 'in one of the two only, not compared: roll quadratic_drag.coefficient' in said
+    assert '--no-effects' not in said
+    other = flight('c', gain=2.0, **{'quadratic_drag.coefficient': 1.0})
+    assert 'gain may have changed only because that effect' in str(compare(before, [other]))
+    assert '--no-effects' not in str(compare(before, [flight('d', gain=2.0)]))
 
 
 def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_answer):

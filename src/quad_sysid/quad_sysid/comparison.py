@@ -310,6 +310,12 @@ def lines(comparison: Comparison) -> Iterator[str]:
                    f'{LEVEL:.0%} for all comparisons together')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
+            doubtful = [c.name for c in changes if c.changed and '.' not in c.name
+                        and c.name != 'trim' and any(a.startswith(f'{c.axis} ') for a in alone)]
+            if doubtful:
+                yield from wrapped(
+                    f'{", ".join(dict.fromkeys(doubtful))} may have changed only because that '
+                    'effect is in one model alone: compare with --no-effects as well', '  ')
         yield ''
     yield 'error: standard error of the change; chance: of one as large if nothing changed'
 
