@@ -414,9 +414,9 @@ def across_gaps(values: FloatArray, most: float) -> FloatArray:
     return np.asarray(out.reshape(values.shape))
 
 
-def motors_at_limit(motors: FloatArray) -> np.ndarray:
-    """Whether each motor command, an array of any shape, is at a limit of its range."""
-    return np.asarray((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
+def motors_at_limit(motors: FloatArray, idle: float = 0.0) -> np.ndarray:
+    """Whether each motor command, an array of any shape, is at a limit of its range, idle..1."""
+    return np.asarray((motors <= idle + AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
 
 
 def finite_runs(mask: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

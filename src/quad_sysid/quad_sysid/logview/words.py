@@ -254,8 +254,8 @@ def motors(look: Measured) -> Table:
     rows = [[m.name, f'{m.mean:.3f}', f'{m.apart_pct:+.1f}', f'{m.at_zero_pct:.2g}',
              f'{m.at_one_pct:.2g}', '–' if m.speed_rad_s is None else
              f'{m.speed_rad_s * 30.0 / math.pi:.0f}'] for m in look.motors]
-    return Table(['motor', 'mean command', 'from the mean, %', 'at 0, %', 'at 1, %', 'rpm'], rows,
-                 range(1, 6))
+    return Table(['motor', 'mean command', 'from the mean, %', 'at lowest, %', 'at 1, %', 'rpm'],
+                 rows, range(1, 6))
 
 
 def _ms(seconds: float) -> str:
