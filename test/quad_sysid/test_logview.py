@@ -304,6 +304,14 @@ def test_the_heading_of_a_log_without_commands_may_pass_south():
     assert angle.latency_s == pytest.approx(50 * DT, rel=0.05)
 
 
+def test_a_slow_log_says_nothing_of_noise_that_it_cannot_hold():
+    asked, rate, command = (x[::20] for x in flown())  # 25 Hz
+    flight = replace(record(asked, rate, command, ()), dt=20 * DT)
+    seen = look(flight)
+    assert seen.whole.axes['roll'].noise_rms is None
+    assert seen.tree()['axes']['roll']['noise']['gyro']['rms_above_80_hz'] is None
+
+
 def test_white_noise_has_no_peaks_however_short():
     rng = np.random.default_rng(0)
     for seconds in (0.6, 1.0, 1.5, 3.0):

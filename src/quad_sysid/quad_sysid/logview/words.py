@@ -232,7 +232,8 @@ def noise(part: Part) -> Table:
                          '–' if high is None else f'{scale * high:.3g}', unit,
                          _peaks(frames.peaks(), scale)])
     return Table(['axis', 'signal', 'RMS', f'above {NOISE_HZ:g} Hz', 'unit', 'peaks'], rows,
-                 (2, 3))
+                 (2, 3), caption=f'{_title(part)}RMS of what is faster than 1 Hz, of that above '
+                 f'{NOISE_HZ:g} Hz, and of peaks; a dash where the log is too slow.')
 
 
 def _peaks(peaks: Sequence[Peak], scale: float) -> str:
@@ -286,7 +287,7 @@ def _axes(part: Part) -> dict[str, Any]:
                    **vars(step.figures)} for step in on_axis.steps],
         'loop': _loop(on_axis.loop), 'tracking': on_axis.tracking,
         'noise': {name: {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz':
-                         frames.rms(NOISE_HZ), 'peaks': frames.peaks()}
+                         noise_rms(frames), 'peaks': frames.peaks()}
                   for name, frames in (('gyro_before', on_axis.gyro_before),
                                        ('gyro', on_axis.gyro), ('d_term', on_axis.d_term))
                   if frames is not None},
