@@ -312,6 +312,13 @@ def test_a_slow_log_says_nothing_of_noise_that_it_cannot_hold():
     assert seen.tree()['axes']['roll']['noise']['gyro']['rms_above_80_hz'] is None
 
 
+def test_an_axis_is_measured_though_the_others_are_not(seen):
+    flight = record(*flown())
+    alone = look(replace(flight, rates=np.where([True, False, False], flight.rates, np.nan)))
+    assert alone.flown.axes == ('roll',)
+    assert alone.whole.axes['roll'].rate_step.figures == seen.whole.axes['roll'].rate_step.figures
+
+
 def test_white_noise_has_no_peaks_however_short():
     rng = np.random.default_rng(0)
     for seconds in (0.6, 1.0, 1.5, 3.0):

@@ -134,7 +134,8 @@ def look_at(flown: Flown) -> Measured:
 def _part(flown: Flown, stretch: Stretch) -> Part:
     time = np.arange(flown.n) * flown.dt
     usable = flown.flying & (time >= stretch.start_s) & (time < stretch.end_s)
-    usable &= np.isfinite(flown.rates).all(axis=1)
+    measured = [AXES.index(axis) for axis in flown.axes]  # a rig may have one
+    usable &= np.isfinite(flown.rates[:, measured]).all(axis=1)
     return Part(stretch, float(usable.sum()) * flown.dt,
                 {axis: _axis(flown, axis, usable, stretch.gains) for axis in flown.axes})
 
