@@ -30,6 +30,8 @@ DECAYS = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """Time constants that are tried for the prior, as shares of the response."""
 SIZES = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Sizes that are tried for the prior, in units of a response that ends at 1."""
+LEAST_RUN = 3.0
+"""Length of a stretch without gaps in which windows lie, in lengths of the response."""
 RIDGE = 1e-6
 """Share of the mean power added where the noise is estimated without a prior."""
 COARSE = 50
@@ -145,7 +147,7 @@ def responses(setpoint: FloatArray, output: FloatArray, usable: npt.NDArray[np.b
         return ()
     runs = [(_thinned(setpoint[a:b], every), _thinned(output[a:b], every))
             for a, b in finite_runs(is_finite, (0, len(is_finite)))
-            if (b - a) * dt > 3.0 * loop.seconds]
+            if (b - a) * dt > LEAST_RUN * loop.seconds]
     windows = _windows(runs, m, round(2.0 * loop.seconds / step))
     least = loop.classes[0][1]
     used = windows.largest >= least if windows is not None else np.zeros(0, bool)
