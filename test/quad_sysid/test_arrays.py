@@ -69,6 +69,20 @@ def test_missing_samples_are_nan_or_masked():
     same(record(y=[None if math.isnan(value) else value for value in y]), wanted)
 
 
+def test_samples_missing_here_and_there_leave_the_interval_as_it_is():
+    lost = np.random.default_rng(0).random(N) < 0.1
+    lost[0] = False
+    seen = record(y=np.where(lost, np.nan, Y))
+    assert seen.dt == DT
+    np.testing.assert_array_equal(seen.rates[:, 0], np.where(lost, np.nan, Y)[:seen.n])
+    seen = record(u=np.where(np.arange(N) % 500 == 250, np.nan, U))
+    assert any('u is missing in 4 of 2000 samples' in line for line in seen.warnings)
+    late = np.where(np.arange(N) < 250, np.nan, 0.1 * Y)  # measured from 1 s on
+    seen = record(signals={'pitch_rate': late}, train=slice(500, 1250))
+    assert [(s.start_s, s.end_s) for s in seen.segments if s.role == 'train'] == [
+        (pytest.approx(1.0), pytest.approx(4.0))]
+
+
 def test_mappings_responses_and_iodata_are_the_same_record():
     wanted, t = record(), DT * np.arange(N)
     columns = {'volts': U, 'speed': Y, 't': t}
@@ -279,6 +293,43 @@ def test_the_model_speaks_the_units_of_its_arrays(result):
     assert np.nanstd(ahead - z.y) < 0.2 * np.std(z.y)
     np.testing.assert_array_equal(qs.simulate(found, u[:500]), found.model.simulate(u[:500]))
     assert found.model.residuals(z).residual_uncorrelated_with_input in (True, False)
+
+
+def test_experiments_of_one_unit_are_compared_in_it_whatever_their_largest_value(result, refusal):
+    """Beyond 10 V one volt is a smaller share of full command."""
+    from quad_sysid.comparison import trims
+    from quad_sysid.pipeline.usable import together
+
+    found, flight = result
+    u, y = 20.0 * flight.control[:, 1], 30.0 / math.pi * flight.rates[:, 0]
+    more = np.append(u[:-1], 30.0)
+    units = {'u': 'V', 'y': 'rpm'}
+    wanted = qs.from_arrays(u=u, y=y, dt=DT, units=units)
+    other = qs.from_arrays(u=more, y=y + 1e-9, dt=DT, units=units)
+    assert other.units != wanted.units
+    np.testing.assert_allclose(other.axis('roll').u, more)
+    np.testing.assert_allclose(other.axis('roll').y, y, atol=1e-8)
+    np.testing.assert_allclose(together([wanted, other])[1].control[:-1], wanted.control[:-1])
+    errors = [qs.evaluate(found.model, one).after for one in (wanted, other)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.01)
+    assert found.model.compare(other, 1) == pytest.approx(found.model.compare(wanted, 1), abs=0.1)
+    of_both = [trims(one)['roll'] for one in (wanted, other)]
+    assert of_both[0].unit == of_both[1].unit == 'V'
+    assert of_both[1].value == pytest.approx(of_both[0].value, abs=0.02)
+    milli = qs.from_arrays(u=1e3 * u, y=y, dt=DT, units={'u': 'mV', 'y': 'rpm'})
+    assert 'found mV, the other V' in refusal(qs.evaluate, found.model, milli)
+    sliding = qs.from_arrays(u=u, y=y, dt=DT, units={'u': 'V', 'y': 'mm/s'})
+    assert 'found mm/s, the other rpm' in refusal(qs.evaluate, found.model, sliding)
+
+
+def test_an_experiment_is_designed_in_the_units_of_the_arrays(result):
+    found, _ = result
+    design = qs.design_experiment(found, amplitude=2.0, seconds=2.0)
+    known = found.model.parameters
+    assert design.std_now['gain'] == pytest.approx(known['gain'].std)
+    assert design.std_now['coulomb_friction.torque'] == pytest.approx(
+        known['coulomb_friction.torque'].std)
+    assert 0.1 * known['gain'].std < design.std_expected['gain'] <= known['gain'].std
 
 
 def test_a_search_that_ends_early_says_so(result, quickly):

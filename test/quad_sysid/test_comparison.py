@@ -39,6 +39,10 @@ def test_where_one_flight_alone_has_an_effect_it_is_not_said_that_nothing_change
     said = str(compare(before, [other]))
     assert '  nothing that both have changed, at' in said
     assert 'in one of the two only, not compared: roll quadratic_drag.coefficient' in said
+    assert '--no-effects' not in said
+    other = flight('c', gain=2.0, **{'quadratic_drag.coefficient': 1.0})
+    assert 'gain may have changed only because that effect' in str(compare(before, [other]))
+    assert '--no-effects' not in str(compare(before, [flight('d', gain=2.0)]))
 
 
 def test_where_one_flight_has_no_model_it_is_not_said_that_nothing_changed():
@@ -55,6 +59,17 @@ def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_
     assert 'coulomb_friction.torque' in beside
     assert alone == {p.name: Estimate(p.value, p.std, p.unit) for p in model.plain}
     assert alone['damping'].value > 3.0 * beside['damping'].value
+
+
+def test_arrays_of_unlike_units_are_not_compared(refusal):
+    pair = [Flight(unit, {'roll': {'gain': Estimate(1.0, 0.1, f'rad/s² per {unit}')}}, {})
+            for unit in ('V', 'mV')]
+    assert 'roll gain is in rad/s² per V and in rad/s² per mV' in refusal(
+        compare, pair[0], pair[1:])
+    pair = [Flight(unit, {'roll': {'hidden.size': Estimate(1.0, 0.1, unit)}}, {})
+            for unit in ('1', '1/s')]
+    (change,) = compare(pair[0], pair[1:])[0][1]
+    assert (change.difference, change.unit) == (None, '1, then 1/s')
 
 
 def test_many_flights_are_held_to_one_level_together():

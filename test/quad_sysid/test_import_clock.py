@@ -40,11 +40,13 @@ def jittered(share: float) -> np.ndarray:
         (np.sort(np.concatenate([T, T[5::400] + 0.4 * DT])), 250.0, True, 0.01, '10 odd'),
         (np.delete(T, np.random.default_rng(1).choice(N, N // 3, replace=False)), None, False,
          0.03, 'the rate is uneven'),
+        (np.delete(T, np.random.default_rng(1).choice(N, N // 20, replace=False)), 250.0, False,
+         0.01, 'the rate is uneven'),
         (np.concatenate([T[:1000], T[1000::5]]), 50.0, False, 0.01, 'the rate is uneven'),
         (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 0.03, 'kept'),
     ],
     ids=['even', 'little jitter', 'jitter', 'much jitter', 'gaps', 'odd intervals', 'dropped',
-         'two rates', 'drift'],
+         'dropped here and there', 'two rates', 'drift'],
 )  # fmt: skip
 def test_rates_come_onto_one_grid(times, hz, own, error, words):
     laid = cycles(stream(times), 'a table')

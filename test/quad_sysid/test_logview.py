@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quad_sysid import cli
+from quad_sysid import cli, inspect
 from quad_sysid.bags import write_bag
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
@@ -243,6 +243,95 @@ def test_a_rate_that_follows_late_is_late_by_its_latency():
     (none,) = look(record(drifts, 1e-3 * asked, 1e-3 * asked)).whole.axes['roll'].tracking
     assert np.isnan(none.latency_s)
     assert none.error_rms_delayed == none.error_rms
+
+
+@pytest.mark.parametrize('hertz', [0.8, 1.5])
+def test_a_slow_rate_that_still_rises_is_not_said_to_overshoot(hertz):
+    """Critically damped, it never goes beyond its set-point; it takes longer than is looked at."""
+    asked = flown()[0]
+    keep = np.exp(-2.0 * np.pi * hertz * DT)
+    rate = lfilter([0.0, (1.0 - keep)**2], [1.0, -2.0 * keep, keep**2], asked)
+    rate += 0.01 * np.random.default_rng(2).standard_normal(len(rate))
+    seen = look(record(asked, rate, 0.1 * asked))
+    figures = seen.whole.axes['roll'].rate_step.figures
+    assert np.isnan(figures.overshoot_pct)
+    assert np.isnan(figures.rise_time_s)
+    assert 'it still rises after 0.5 s' in str(seen)
+    assert 'nan' not in str(seen)
+    assert seen.tree()['axes']['roll']['steps'][0]['overshoot_pct'] is None
+
+
+@pytest.mark.parametrize('hertz', [2.6, 6.2, 18.3])
+def test_the_bandwidth_lies_between_the_lines_of_the_spectrum(hertz):
+    asked = flown()[0]
+    f = np.geomspace(0.5, 60.0, 20_000)
+    keep = np.exp(-2.0 * np.pi * hertz * DT)
+    back = np.exp(-2j * np.pi * f * DT)
+    true = f[np.argmax(np.abs((1.0 - keep) / (1.0 - keep * back)) < np.sqrt(0.5))]
+    rate = lfilter([1.0 - keep], [1.0, -keep], asked)
+    assert look(record(asked, rate, 0.1 * asked)).whole.axes['roll'].loop.bandwidth_hz == \
+        pytest.approx(true, rel=0.05)
+
+
+def test_motors_that_the_mixer_holds_at_idle_are_at_their_limit():
+    """The firmware lets no motor in flight go below `mixer.idle`."""
+    n = 3000
+    asked = np.sin(DT * np.arange(n))
+    flight = record(asked, asked, 0.1 * asked, (GainChange(0.0, {'mixer.idle': 0.05}),))
+    motors = np.full((n, 4), 0.5)
+    motors[:300, 1] = 0.05
+    flight = replace(flight, motors=motors)
+    seen = look(flight)
+    assert [m.at_zero_pct for m in seen.motors] == [0.0, pytest.approx(10.0, abs=0.1), 0.0, 0.0]
+    assert 'never at their limits' not in str(seen)
+    assert inspect(flight).motors_at_limit_pct == (0.0, pytest.approx(10.0), 0.0, 0.0)
+
+
+def test_the_heading_of_a_log_without_commands_may_pass_south():
+    n = 10_000
+    time, zero = DT * np.arange(n), np.zeros(n)
+    heading = np.pi + 0.5 * np.sin(0.6 * time)
+    wanted = (heading + np.pi) % (2.0 * np.pi) - np.pi
+    turned = np.roll(heading, 50)
+    turned[:50] = heading[0]
+    rate = np.gradient(turned, DT)
+    log = ForeignLog(
+        'log', 'a log', Stream(time, np.column_stack([rate, zero, rate])), None,
+        angles=Stream(time, np.column_stack([zero, zero, turned])), axes=('yaw',),
+        attitude_setpoint=Stream(time, np.column_stack([zero, zero, wanted])))
+    (angle,) = look_at(of_log(log)).whole.axes['yaw'].tracking
+    assert angle.error_rms < 0.05
+    assert angle.latency_s == pytest.approx(50 * DT, rel=0.05)
+
+
+def test_a_slow_log_says_nothing_of_noise_that_it_cannot_hold():
+    asked, rate, command = (x[::20] for x in flown())  # 25 Hz
+    flight = replace(record(asked, rate, command, ()), dt=20 * DT)
+    seen = look(flight)
+    assert seen.whole.axes['roll'].noise_rms is None
+    assert seen.tree()['axes']['roll']['noise']['gyro']['rms_above_80_hz'] is None
+
+
+def test_an_axis_is_measured_though_the_others_are_not(seen):
+    flight = record(*flown())
+    alone = look(replace(flight, rates=np.where([True, False, False], flight.rates, np.nan)))
+    assert alone.flown.axes == ('roll',)
+    assert alone.whole.axes['roll'].rate_step.figures == seen.whole.axes['roll'].rate_step.figures
+
+
+def test_a_log_of_many_gaps_blames_the_gaps_for_what_it_does_not_show():
+    asked, rate, command = flown()
+    lost = np.random.default_rng(1).random(len(rate)) < 0.01
+    seen = str(look(record(asked, np.where(lost, np.nan, rate), command)))
+    assert 'gaps come too often for a step response' in ' '.join(seen.split())
+    assert 'moves too little' not in seen
+
+
+def test_white_noise_has_no_peaks_however_short():
+    rng = np.random.default_rng(0)
+    for seconds in (0.6, 1.0, 1.5, 3.0):
+        white = rng.standard_normal(round(seconds / DT))
+        assert not frames(white, np.ones(len(white), bool), DT).peaks()
 
 
 @pytest.mark.parametrize('setpoint', [0.7, 30.0])

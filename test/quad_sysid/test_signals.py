@@ -124,6 +124,17 @@ def test_a_length_of_the_training_reaches_the_low_end_of_the_band(refusal):
         assert design.flown_low_rad_s < high
 
 
+@pytest.mark.parametrize(('low', 'high'), [(5.0, 100.0), (0.01, 0.5)])
+def test_a_design_of_an_odd_band_trains_long_enough_and_its_square_turns(low, high):
+    """A fit takes 5 s; a level that is held for 16 s is no square wave."""
+    design = signals.design_excitation(low, high)
+    _, train, *_, square, _ = schedule_of(design).parts
+    assert train.duration_s >= 10.0
+    assert square.duration_s >= 2.0 * square.parameters['period_s']
+    assert 'too short for a fit' not in design.text()
+    assert 'too short for a fit' in signals.design_excitation(low, 100.0, train_s=4.0).text()
+
+
 @pytest.mark.parametrize(('name', 'seconds'), [('rig', 83), ('demo', 60), ('hover', 156)])
 def test_the_shipped_schedules_are_in_order(name, seconds):
     schedule = load_schedule(CONFIG / f'schedule_{name}.yaml')

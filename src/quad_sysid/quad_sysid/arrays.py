@@ -506,15 +506,21 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str,
         battery=None if battery is None else stream({0: _factor(
             'battery', texts.get('battery', 'V'), {'V': 1.0, 'mV': 1e-3}) * battery}, 1),
     )
-    record, _, warnings = record_of(log)
-    if series.dt is not None and abs(record.dt - series.dt) <= 1e-3 * series.dt:
-        record = record.at_interval(series.dt)
+    record, _, warnings = record_of(log, dt=series.dt)
     measured = np.asarray(angle if rate is None else rate)
     record = replace(record, units=units, warnings=(
-        *record.warnings, *warnings, *_too_coarse(measured, record.dt)))
-    begun = float(series.time_s[int(np.isfinite(measured).argmax())])
+        *record.warnings, *warnings, *_held(series.u), *_too_coarse(measured, record.dt)))
+    begun = next(float(moved.time_s[0]) for moved in (log.rates, log.angles) if moved is not None)
     return split_segments(with_parts(record, series.time_s - begun, (axis,), train, validate),
                           axes=(axis,))
+
+
+def _held(u: FloatArray) -> tuple[str, ...]:
+    """A warning where the input is missing, else nothing."""
+    lost = int(np.isnan(u).sum())
+    text = (f'u is missing in {lost} of {u.size} samples: the one before is held there, which '
+            'biases what is fitted where it had changed')
+    return (text,) if lost else ()
 
 
 def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from quad_sysid.axes import EVERY, axes_in
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import number
+from quad_sysid.units import Units
 
 if TYPE_CHECKING:
     from quad_sysid.model import AxisModel
@@ -111,7 +112,7 @@ def of_model(model: AxisModel, *, alone: bool = False) -> dict[str, Estimate]:
 
 
 def trims(record: Record) -> dict[str, Estimate]:
-    """Mean command of each axis over training and validation, normalised.
+    """Mean command of each axis over training and validation, normalised; of arrays in their unit.
 
     Its error is the scatter between the flight's quarters, not that of their mean: a trim drifts
     with wind and battery, between flights as within one.
@@ -127,8 +128,11 @@ def trims(record: Record) -> dict[str, Estimate]:
     means = np.array([record.control[part].mean(axis=0)
                       for part in np.array_split(rows, QUARTERS)])
     std = means.std(axis=0, ddof=1)
+    units = record.units or Units()
+    unit = COMMAND if units.command == Units.command else units.command
     return {
-        axis: Estimate(float(means[:, i].mean()), float(std[i]), COMMAND, QUARTERS - 1.0)
+        axis: Estimate(float(units.command_in(means[:, i]).mean()),
+                       float(std[i]) / abs(units.per_command), unit, QUARTERS - 1.0)
         for axis, row in EVERY.items() if not row.outer and std[i := row.index + 1] > ROUNDING
     }
 
@@ -174,7 +178,8 @@ def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect]
 def compare(reference: Flight, others: Sequence[Flight]) -> Comparison:
     """All parameters of each flight and the first, in the order of axes and names.
 
-    The changes are those at LEVEL for all comparisons of all flights together.
+    The changes are those at LEVEL for all comparisons of all flights together. Raises
+    BadInputError where the flights are arrays of unlike units.
     """
     changes = [_changes(reference, other) for other in others]
     held = iter(_held([*chain(*changes)]))
@@ -202,6 +207,11 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
     change = Change(axis, name, unit, a.value if a else None, b.value if b else None)
     if a is None or b is None:
         return change
+    if a.unit != b.unit and '.' not in name:
+        raise BadInputError('compare', f'needs flights of the same units, but {axis} {name} is in '
+                            f'{a.unit} and in {b.unit}', remedy='name one unit for both')
+    if a.unit != b.unit:  # an effect in two forms
+        return replace(change, unit=f'{a.unit}, then {b.unit}')
     change = replace(change, difference=b.value - a.value)
     if a.std is None or b.std is None or not a.std + b.std > 0.0:
         return change
@@ -300,6 +310,12 @@ def lines(comparison: Comparison) -> Iterator[str]:
                    f'{LEVEL:.0%} for all comparisons together')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
+            doubtful = [c.name for c in changes if c.changed and '.' not in c.name
+                        and c.name != 'trim' and any(a.startswith(f'{c.axis} ') for a in alone)]
+            if doubtful:
+                yield from wrapped(
+                    f'{", ".join(dict.fromkeys(doubtful))} may have changed only because that '
+                    'effect is in one model alone: compare with --no-effects as well', '  ')
         yield ''
     yield 'error: standard error of the change; chance: of one as large if nothing changed'
 

@@ -54,9 +54,9 @@ class Experiment:
     u: FloatArray
     """(n,) in its unit, an input every dt s."""
     std_now: Mapping[str, float | None]
-    """Standard error of each parameter in the model; None where it has none."""
+    """Standard error of each parameter in the model, in its unit; None where it has none."""
     std_expected: Mapping[str, float]
-    """Standard error of each parameter with this experiment added to the data."""
+    """Standard error of each parameter with this experiment added to the data, in its unit."""
     largest_rate: float
     """Largest |rate|, in its unit."""
     largest_angle: float
@@ -125,12 +125,16 @@ def design_experiment(
     covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
     expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     sign = 1.0 if criterion == 'D' else -1.0
+    shown = {name: abs(target.in_units(replace(p, value=1.0, std=None, interval=None)).value)
+             for name, p in target._named}  # noqa: SLF001 - of the same object
     zero = 0.0 if units is None else units.zero_command
     return Experiment(
         name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=target.dt,
         u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
-        std_now={name: std for name, (_, std) in present.items()},
-        std_expected={name: float(value) for name, value in expected.items()},
+        std_now={name: None if std is None else shown.get(name, 1.0) * std
+                 for name, (_, std) in present.items()},
+        std_expected={name: shown.get(name, 1.0) * float(value)
+                      for name, value in expected.items()},
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,
         ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',

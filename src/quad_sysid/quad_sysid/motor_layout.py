@@ -326,7 +326,8 @@ def _responses(
         return
     change = np.full(len(rate), np.nan)
     change[:-step] = (rate[step:] - rate[:-step]) / (step * dt)
-    usual = 1.4826 * float(np.nanmedian(np.abs(change - np.nanmedian(change))))
+    usual = 0.0 if np.isnan(change).all() else \
+        1.4826 * float(np.nanmedian(np.abs(change - np.nanmedian(change))))
     if usual > 0.0:
         change = np.clip(change, -CRASH * usual, CRASH * usual)
     yield _sums('angular acceleration', change, motors, dt, step)

@@ -18,7 +18,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.motion import Motion, lean, steady_heading, upright
-from quad_sysid.units import Units
+from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
 WIDTHS = {
@@ -165,7 +165,7 @@ class Record:
                 object.__setattr__(self, name, _frozen(name, array, n, width))
         if self.attitude_setpoint is not None:
             yaw = None if self.angles is None else self.angles[:, 2]
-            setpoint = _unwrapped(self.attitude_setpoint, yaw)
+            setpoint = unwrapped(self.attitude_setpoint, yaw)
             object.__setattr__(self, 'attitude_setpoint', setpoint)
 
     def __repr__(self) -> str:
@@ -190,7 +190,8 @@ class Record:
         """Input and output of one axis over the segments of `role` (all of the record: None).
 
         r is `external(name)` where that is known throughout, else None. Raises BadInputError for
-        another axis or role and NotInformativeError where nothing is left.
+        another axis or role and NotInformativeError where nothing is left. Of arrays all three
+        are in the units in which they were handed in.
         """
         motion = self.motion(name)
         if role not in (None, *ROLES):
@@ -210,6 +211,9 @@ class Record:
             )
         if r is not None and not all(np.isfinite(r[a:b]).all() for a, b in runs):
             r = None
+        if self.units is not None:
+            u, y = self.units.command_in(u), self.units.rate_in(y)
+            r = None if r is None else r / self.units.per_motion
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
 
     def motion(self, name: str) -> Motion:
@@ -278,6 +282,33 @@ class Record:
         """Index range [start, stop) of a segment."""
         start = max(0, round(segment.start_s / self.dt))
         return start, min(self.n, round(segment.end_s / self.dt))
+
+    def in_units(self, units: Units | None, name: str) -> Record:
+        """The record with the commands of an axis normalised as these units do, if it has any.
+
+        What one of a unit is inside is chosen by the largest value of an experiment. Raises
+        BadInputError where the record's arrays are of other units than these.
+        """
+        own = self.units
+        if own is None or units is None or own == units:
+            return self
+        scale = own.renamed(units)
+        if scale is None:
+            raise BadInputError(self.source, 'u must be in the unit of the other experiment',
+                                f'{own.command}, the other {units.command}',
+                                'convert it, and name the same unit')
+        if (own.motion in LENGTHS) != (units.motion in LENGTHS):
+            raise BadInputError(self.source, 'y must be in a unit as that of the other experiment',
+                                f'{own.rate}, the other {units.rate}')
+        column = EVERY[name].index + 1
+
+        def scaled(commands: FloatArray) -> FloatArray:
+            out = commands.copy()
+            out[:, column] = scale[0] * out[:, column] + scale[1]
+            return np.asarray(out)
+
+        return replace(self, control=scaled(self.control), units=units,
+                       wrench=None if self.wrench is None else scaled(self.wrench))
 
     def at_interval(self, dt: float) -> Record:
         """The samples at an interval of dt s; times of segments and gains are scaled with it."""
@@ -349,7 +380,7 @@ class Record:
         }
 
 
-def _unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
+def unwrapped(setpoint: FloatArray, yaw: FloatArray | None) -> FloatArray:
     """Attitude set-points (n, 3) whose yaw is within half a turn of the measured one, rad.
 
     Without one, it goes on without jumps.
@@ -383,9 +414,9 @@ def across_gaps(values: FloatArray, most: float) -> FloatArray:
     return np.asarray(out.reshape(values.shape))
 
 
-def motors_at_limit(motors: FloatArray) -> np.ndarray:
-    """Whether each motor command, an array of any shape, is at a limit of its range."""
-    return np.asarray((motors <= AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
+def motors_at_limit(motors: FloatArray, idle: float = 0.0) -> np.ndarray:
+    """Whether each motor command, an array of any shape, is at a limit of its range, idle..1."""
+    return np.asarray((motors <= idle + AT_LIMIT) | (motors >= 1.0 - AT_LIMIT))
 
 
 def finite_runs(mask: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:

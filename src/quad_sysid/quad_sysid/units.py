@@ -26,6 +26,10 @@ SMALLEST = 6
 """Most decimals of a number that is not written by a power of ten."""
 COMMAND = 'unit command'
 """The unit of a command without one of its own."""
+FACTOR = 'unit'
+"""That of a command of which only the factor to a normalised one was given."""
+SHARES = ('1', 'percent', 'pwm16', 'pulse_us')
+"""Units that say what full command is."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,26 @@ class Units:
     def rate_in(self, rate: FloatArray) -> FloatArray:
         """Rates (n,), rad/s, in their unit."""
         return rate / self.per_rate
+
+    def command_in(self, command: FloatArray) -> FloatArray:
+        """Normalised commands (n,), in their unit."""
+        return (command - self.zero_command) / self.per_command
+
+    def renamed(self, other: Units) -> tuple[float, float] | None:
+        """(factor, offset) from a command normalised by these units to one by others.
+
+        None where the two name different things, between which only the user knows the factor.
+        """
+        if self.command == other.command and self.command != FACTOR:
+            factor = other.per_command / self.per_command
+            return factor, other.zero_command - factor * self.zero_command
+        return (1.0, 0.0) if self._normalises and other._normalises else None
+
+    @property
+    def _normalises(self) -> bool:
+        """Whether a normalised command is the same share of full command in all such units."""
+        return self.command in (*SHARES, FACTOR) or (
+            self.command == COMMAND and self.per_command == 1.0)
 
     def signal_in(self, name: str, value: float) -> float:
         """A value of a signal, by its word, in the unit of its array."""

@@ -36,6 +36,8 @@ UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MAX_ODD = 0.03
 """Share of odd intervals up to which each sample keeps its own cycle."""
+FEW_LOST = 0.9
+"""Share of usual intervals among whole multiples of them down to which the grid has all cycles."""
 MAX_JITTER = 0.1
 """Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
 BLOCK = 16
@@ -180,12 +182,17 @@ def _spread(
     return rows, np.interp(np.arange(float(len(rows))), places, np.append(time_s[ticks], end))
 
 
-def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
+def cycles(samples: Stream, where: str, grid_hz: float | None = None,
+           dt: float | None = None) -> Cycles:
     """The grid of the rates' samples: their own cycles where they are even, else interpolated.
 
-    `grid_hz` overrides the rate of the grid. Raises BadInputError where it is far above the
-    samples', or, naming `where`, where their times leave almost all of the grid empty.
+    `grid_hz` overrides the rate of the grid; `dt`, s, is the cycle of samples that all lie on
+    multiples of it, however many of them are missing. Raises BadInputError where `grid_hz` is far
+    above the samples', or, naming `where`, where their times leave almost all of the grid empty.
     """
+    if dt is not None:
+        cells = np.rint((samples.time_s - samples.time_s[0]) / dt).astype(np.int64)
+        return _own(samples.time_s, samples.values, dt, cells, f'{len(cells)} samples')
     interval = float(np.median(np.diff(samples.time_s)))
     near_others = _stretches(samples.time_s, interval)
     rows = np.concatenate(near_others) if near_others else np.arange(len(samples.time_s))
@@ -217,7 +224,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None) -> Cycles:
             return _own(time_s, values, dt, cells, head)
         why = f'jitter of {100.0 * jitter:.0f} % of a cycle'
     else:
-        dt, why = _uneven(steps), 'the rate is uneven'
+        dt, why = _uneven(steps, interval), 'the rate is uneven'
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
     drawn = draw(samples, times, MAX_DRAWN * max(dt, interval))
     return Cycles(times, dt, drawn, own=False, notes=(
@@ -251,17 +258,23 @@ def _gaps(values: FloatArray, dt: float) -> str:
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 
 
-def _uneven(steps: FloatArray) -> float:
+def _uneven(steps: FloatArray, interval: float) -> float:
     """Interval of the grid for uneven times.
 
-    The mean where the means of 16 intervals agree (jitter). Otherwise rows were dropped or the
-    rate changes, and the longest intervals that are not gaps count.
+    The mean where the means of 16 intervals agree (jitter), or the usual one where all are
+    multiples of it, so that only rows are missing here and there. Otherwise many were dropped or
+    the rate changes, and the longest intervals that are not gaps count.
     """
     blocks = len(steps) // BLOCK
     if blocks:
         means = steps[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1)
         low, high = np.quantile(means, (0.05, 0.95))
         if high - low < STEADY * high:
+            share = steps / interval
+            near = np.abs(share - 1.0) <= UNEVEN
+            beside = np.abs(share - np.round(share))
+            if near.mean() >= FEW_LOST and np.quantile(beside, 0.99) <= MAX_JITTER:
+                return in_whole_us(float(steps[near].mean()))
             usual = (means >= low) & (means <= high)
             return in_whole_us(float(means[usual].mean()))
     return in_whole_us(float(np.quantile(steps, 1.0 - MAX_ODD)))

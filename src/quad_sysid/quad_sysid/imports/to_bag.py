@@ -109,18 +109,18 @@ def uneven(notes: Sequence[str]) -> list[str]:
 
 
 def record_of(
-    log: ForeignLog, grid_hz: float | None = None
+    log: ForeignLog, grid_hz: float | None = None, dt: float | None = None
 ) -> tuple[Record, list[str], list[str]]:
     """The record of a log, notes on repairs and findings, and warnings.
 
-    Raises BadInputError where the log holds too little.
+    `grid_hz` and `dt` as in clock.cycles. Raises BadInputError where the log holds too little.
     """
     base = log.rates or log.angles
     if base is None or len(base.time_s) < MIN_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
                             0 if base is None else len(base.time_s),
                             f'at least {MIN_SAMPLES} are needed; log longer')
-    grid = clock.cycles(base, log.source, grid_hz)
+    grid = clock.cycles(base, log.source, grid_hz, dt)
     faster = f' ({log.faster})' if log.faster else ''
     notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
     gains = dict(log.gains)

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.bags.storage import Storage
 from quad_sysid.blackbox import excitation_order
-from quad_sysid.contract import AXES, TOPIC_TYPES
+from quad_sysid.contract import AXES, IDLE, TOPIC_TYPES
 from quad_sysid.craft import Craft, X
 from quad_sysid.discover.constants import DIFFERS
 from quad_sysid.effects import EFFECTS
@@ -286,8 +286,8 @@ class Content:
     gains: tuple[str, ...] = ()
     """Names in /gains/active, in alphabetical order."""
     motors_at_limit_pct: tuple[float, ...] = ()
-    """Per motor, share of the time at 0 or 1, idle segments left out where others are; empty where
-    /motors/command is missing."""
+    """Per motor, share of the time at a limit, 1 or `mixer.idle`, idle segments left out where
+    others are; empty where /motors/command is missing."""
     battery: Battery | None = None
     craft: str = ''
     """Places of the motors, in words; empty where only the control is known."""
@@ -449,8 +449,9 @@ def _at_limit(record: Record) -> tuple[float, ...]:
         if segment.role == 'idle':  # on the ground they stand at 0
             flown[slice(*record.span(segment))] = False
     finite = np.isfinite(record.motors).all(axis=1)
+    idle = record.gains_at(np.inf).get(IDLE, 0.0)
     used = record.motors[finite & flown] if (finite & flown).any() else record.motors[finite]
-    return tuple(float(100.0 * share) for share in motors_at_limit(used).mean(axis=0))
+    return tuple(float(100.0 * share) for share in motors_at_limit(used, idle).mean(axis=0))
 
 
 def _battery(record: Record) -> Battery | None:

@@ -53,7 +53,7 @@ def _flight(content: Content) -> Iterator[str]:
     if content.motors_at_limit_pct:
         shares = ', '.join(f'{share:.2g}' for share in content.motors_at_limit_pct)
         used = ' outside idle segments' if any(s.role == 'idle' for s in content.segments) else ''
-        yield f'motors    at 0 or 1 for {shares} % of the time{used}'
+        yield f'motors    at a limit for {shares} % of the time{used}'
     else:
         axes = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
         yield f'motors    not recorded: limits are {axes}'

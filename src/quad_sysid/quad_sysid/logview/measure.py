@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from quad_sysid.contract import AXES, FloatArray
+from quad_sysid.contract import AXES, IDLE, FloatArray
 from quad_sysid.logview import response, step
 from quad_sysid.logview.flown import Flown, Stretch, stretches
 from quad_sysid.logview.spectrum import Frames, frames
@@ -90,7 +90,7 @@ class MotorLook:
     """Deviation of its mean command from the mean of all motors, %."""
     at_zero_pct: float
     at_one_pct: float
-    """Share of the time at the limits, %."""
+    """Share of the time at the limits, %; the lower one is `mixer.idle` where that is known."""
     speed_rad_s: float | None = None
     """Mean speed where it was measured."""
 
@@ -134,7 +134,8 @@ def look_at(flown: Flown) -> Measured:
 def _part(flown: Flown, stretch: Stretch) -> Part:
     time = np.arange(flown.n) * flown.dt
     usable = flown.flying & (time >= stretch.start_s) & (time < stretch.end_s)
-    usable &= np.isfinite(flown.rates).all(axis=1)
+    measured = [AXES.index(axis) for axis in flown.axes]  # a rig may have one
+    usable &= np.isfinite(flown.rates[:, measured]).all(axis=1)
     return Part(stretch, float(usable.sum()) * flown.dt,
                 {axis: _axis(flown, axis, usable, stretch.gains) for axis in flown.axes})
 
@@ -309,6 +310,7 @@ def _motors(flown: Flown) -> tuple[MotorLook, ...]:
     if not in_flight.any():
         return ()
     used = flown.motors[in_flight]
+    idle = stretches(flown)[-1].gains.get(IDLE, 0.0)
     mean = used.mean(axis=0)
     out = []
     for k, value in enumerate(mean):
@@ -319,7 +321,7 @@ def _motors(flown: Flown) -> tuple[MotorLook, ...]:
         out.append(MotorLook(
             f'motor_{k + 1}', float(value),
             100.0 * float(value / mean.mean() - 1.0) if mean.mean() > 0.0 else 0.0,
-            100.0 * float(np.mean(used[:, k] <= AT_LIMIT)),
+            100.0 * float(np.mean(used[:, k] <= idle + AT_LIMIT)),
             100.0 * float(np.mean(used[:, k] >= 1.0 - AT_LIMIT)), speed))
     return tuple(out)
 

@@ -23,7 +23,7 @@ from quad_sysid.imports.table import head_of, is_bag
 from quad_sysid.imports.to_bag import gains_of, record_of, uneven, volts_on
 from quad_sysid.logview.flown import Flown
 from quad_sysid.logview.measure import Measured, look_at
-from quad_sysid.record import Record
+from quad_sysid.record import Record, unwrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,11 +168,14 @@ def _without_commands(log: ForeignLog, laid: Cycles, why: str) -> Flown:
     throttle = None if motors is None else motors.mean(axis=1)
     flying = np.ones(len(rates), bool) if throttle is None or not np.isfinite(throttle).any() \
         else airborne(throttle, laid.dt)
+    angles, setpoint = drawn_on(log.angles, laid.times), held(log.attitude_setpoint)
+    if setpoint is not None:
+        setpoint = unwrapped(setpoint, None if angles is None else angles[:, 2])
     return Flown(
         source=log.source, kind=log.kind, dt=laid.dt, rates=rates, flying=flying,
         axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
-        rate_setpoint=held(log.rate_setpoint), attitude_setpoint=held(log.attitude_setpoint),
-        angles=drawn_on(log.angles, laid.times), battery_v=volts_on(log.battery, laid.times),
+        rate_setpoint=held(log.rate_setpoint), attitude_setpoint=setpoint,
+        angles=angles, battery_v=volts_on(log.battery, laid.times),
         gains=gains_of(log, log.gains, float(laid.times[0])),
         warnings=(f'it cannot be identified: {why}',))
 

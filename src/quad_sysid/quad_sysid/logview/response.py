@@ -132,12 +132,9 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
         return None
     f, tracking = f[used], (measured.yr[used] / measured.rr[used])
     level = np.abs(tracking)
-    low = float(np.median(level[:FEWEST_LINES]))
-    below = level < np.sqrt(0.5) * low
-    index = int(np.argmax(below)) if below[-1] else -1
     peak = int(np.argmax(level))
     common = {'frequency_hz': f, 'tracking': tracking, 'coherence': coherence[used],
-              'bandwidth_hz': float(f[index]) if index >= 0 else np.nan,
+              'bandwidth_hz': _bandwidth(f, level),
               'peak': float(level[peak]), 'peak_hz': float(f[peak])}
     driven = measured.coherence(measured.ur, measured.uu)[used] >= COHERENT
     if driven.sum() < FEWEST_LINES:
@@ -164,6 +161,28 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
         phase_margin_deg=finite(float(of.phase_margin_deg[0])),
         gain_margin_db=finite(float(of.gain_margin_db[0])),
         sensitivity=float(sensitivity[worst]), sensitivity_hz=float(f[worst]))
+
+
+def _bandwidth(f: FloatArray, level: FloatArray) -> float:
+    """Frequency from which on the level stays below -3 dB, between the lines by its logarithm.
+
+    0 dB is what the lowest lines say: at rest, if they reach near it, by the straight line of
+    1 / level² over f², as a slow loop has fallen there already. NaN where the level never falls,
+    or falls among these lines.
+    """
+    lowest, inverse = f[:FEWEST_LINES], level[:FEWEST_LINES]**-2.0
+    at_rest = float(np.polyfit(lowest**2, inverse, 1)[1] if lowest[-1] > 2.5 * lowest[0] else
+                    np.median(inverse))
+    if not at_rest > 0.0:
+        return float('nan')
+    least = np.sqrt(0.5 / at_rest)
+    if not level.max() >= least:
+        return float('nan')
+    last = int(np.flatnonzero(level >= least)[-1])
+    if not FEWEST_LINES <= last + 1 < len(level):
+        return float('nan')
+    above, below = np.log(level[last] / least), np.log(least / level[last + 1])
+    return float(f[last] * (f[last + 1] / f[last])**(above / (above + below)))
 
 
 def feedback(gains: Mapping[str, float], axis: str, frequency_hz: FloatArray,

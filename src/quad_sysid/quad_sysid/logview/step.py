@@ -11,7 +11,7 @@ whose size and decay have the highest evidence on all windows together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,8 @@ DECAYS = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
 """Time constants that are tried for the prior, as shares of the response."""
 SIZES = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Sizes that are tried for the prior, in units of a response that ends at 1."""
+LEAST_RUN = 3.0
+"""Length of a stretch without gaps in which windows lie, in lengths of the response."""
 RIDGE = 1e-6
 """Share of the mean power added where the noise is estimated without a prior."""
 COARSE = 50
@@ -145,7 +147,7 @@ def responses(setpoint: FloatArray, output: FloatArray, usable: npt.NDArray[np.b
         return ()
     runs = [(_thinned(setpoint[a:b], every), _thinned(output[a:b], every))
             for a, b in finite_runs(is_finite, (0, len(is_finite)))
-            if (b - a) * dt > 3.0 * loop.seconds]
+            if (b - a) * dt > LEAST_RUN * loop.seconds]
     windows = _windows(runs, m, round(2.0 * loop.seconds / step))
     least = loop.classes[0][1]
     used = windows.largest >= least if windows is not None else np.zeros(0, bool)
@@ -216,7 +218,7 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
     impulse = np.linalg.solve(precision, cross / noise)
     fit = 1.0 - (power - 2.0 * impulse @ cross + impulse @ gram @ impulse) / power
     mean = np.cumsum(impulse)
-    figures = step_figures(mean, step)
+    figures = _figures(mean, step)
     if not (fit >= LEAST_FIT and figures.final_error_pct <= 100.0 * (1.0 - LEAST_END)):
         return None
     sums = np.tri(m)
@@ -238,6 +240,17 @@ def _response(windows: _Windows, inside: npt.NDArray[np.bool_], step: float, qua
                     int(inside.sum()), float(fit), figures,
                     float(max(latency, 0.0) if reached else np.nan),
                     float(windows.largest[inside].max()))
+
+
+def _figures(mean: FloatArray, step: float) -> StepFigures:
+    """The figures of a response; of one that still rises at its end only how far it came.
+
+    Where it would stand is not seen there, so that neither has it gone beyond nor risen to it.
+    """
+    figures, last = step_figures(mean, step), max(2, mean.size // 5)
+    if np.isfinite(figures.settling_time_s) or int(np.argmax(mean)) < mean.size - last:
+        return figures
+    return replace(figures, rise_time_s=np.nan, overshoot_pct=np.nan)
 
 
 def _prior(gram: FloatArray, cross: FloatArray, power: float, rows: int,

@@ -14,7 +14,8 @@ from quad_sysid.contract import AXES
 from quad_sysid.logview.measure import DEG, NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Peak
-from quad_sysid.logview.step import Response
+from quad_sysid.logview.step import LEAST_RUN, RATE, Response
+from quad_sysid.record import finite_runs
 from quad_sysid.report.tables import Table, wrapped
 
 SCHEMA = 'quad_sysid/look/1'
@@ -90,8 +91,10 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
     elif on_axis.tracking:
         error = on_axis.tracking[0]
         text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
-                f'{DEG * error.setpoint_rms:.3g}; the set-point moves too little, or the rate '
-                'follows it too loosely, for a step response')
+                f'{DEG * error.setpoint_rms:.3g}; ' + (
+                    'gaps come too often' if _broken(look, on_axis.axis) else
+                    'the set-point moves too little, or the rate follows it too loosely,')
+                + ' for a step response')
     elif look.flown.rate_setpoint is None:
         text = f'{name} has no rate set-point in the log, hence no step response'
     else:
@@ -113,8 +116,20 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
     return f'{text}.'
 
 
+def _broken(look: Measured, axis: str) -> bool:
+    """Whether most of the flight is between gaps that leave no room for a step response."""
+    flight = look.flown
+    known = flight.flying & np.isfinite(flight.rates[:, AXES.index(axis)])
+    runs = [b - a for a, b in finite_runs(known, (0, flight.n))]
+    whole = sum(n for n in runs if n * flight.dt > LEAST_RUN * RATE.seconds)
+    return len(runs) > 1 and whole < 0.5 * sum(runs)
+
+
 def _figures(step: Response) -> str:
     f = step.figures
+    if not np.isfinite(f.overshoot_pct):
+        return (f'slowly: it still rises after {step.time_s[-1]:.2g} s, at '
+                f'{100.0 * step.mean[-1]:.0f} % of it')
     parts = [f'in {_ms(f.rise_time_s)} (10 to 90 %)' if np.isfinite(f.rise_time_s) else
              'without reaching it']
     parts += [f'{f.overshoot_pct:.0f} % overshoot']
@@ -167,7 +182,7 @@ def steps(part: Part) -> Table:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
             rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
-                         f'{f.overshoot_pct:.1f}', _or(1e3 * f.settling_time_s, '.3g'),
+                         _or(f.overshoot_pct, '.1f'), _or(1e3 * f.settling_time_s, '.3g'),
                          _or(1e3 * s.latency_s, '.3g'),
                          f'{100.0 - f.final_error_pct:.0f}', f'{100.0 * s.fit:.0f}',
                          str(s.windows)])
@@ -229,7 +244,8 @@ def noise(part: Part) -> Table:
                          '–' if high is None else f'{scale * high:.3g}', unit,
                          _peaks(frames.peaks(), scale)])
     return Table(['axis', 'signal', 'RMS', f'above {NOISE_HZ:g} Hz', 'unit', 'peaks'], rows,
-                 (2, 3))
+                 (2, 3), caption=f'{_title(part)}RMS of what is faster than 1 Hz, of that above '
+                 f'{NOISE_HZ:g} Hz, and of peaks; a dash where the log is too slow.')
 
 
 def _peaks(peaks: Sequence[Peak], scale: float) -> str:
@@ -251,8 +267,8 @@ def motors(look: Measured) -> Table:
     rows = [[m.name, f'{m.mean:.3f}', f'{m.apart_pct:+.1f}', f'{m.at_zero_pct:.2g}',
              f'{m.at_one_pct:.2g}', '–' if m.speed_rad_s is None else
              f'{m.speed_rad_s * 30.0 / math.pi:.0f}'] for m in look.motors]
-    return Table(['motor', 'mean command', 'from the mean, %', 'at 0, %', 'at 1, %', 'rpm'], rows,
-                 range(1, 6))
+    return Table(['motor', 'mean command', 'from the mean, %', 'at lowest, %', 'at 1, %', 'rpm'],
+                 rows, range(1, 6))
 
 
 def _ms(seconds: float) -> str:
@@ -283,7 +299,7 @@ def _axes(part: Part) -> dict[str, Any]:
                    **vars(step.figures)} for step in on_axis.steps],
         'loop': _loop(on_axis.loop), 'tracking': on_axis.tracking,
         'noise': {name: {'rms': frames.rms(1.0), f'rms_above_{NOISE_HZ:g}_hz':
-                         frames.rms(NOISE_HZ), 'peaks': frames.peaks()}
+                         noise_rms(frames), 'peaks': frames.peaks()}
                   for name, frames in (('gyro_before', on_axis.gyro_before),
                                        ('gyro', on_axis.gyro), ('d_term', on_axis.d_term))
                   if frames is not None},

@@ -150,9 +150,9 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
 def flight_of(model: AxisModel, record: Record) -> tuple[Record, AxisData]:
     """A record as the model's axis flew it, and its data behind the filter of its gyro.
 
-    Raises BadInputError where its sample rate is not the model's.
+    Raises BadInputError where its sample rate or the unit of its arrays is not the model's.
     """
-    record = record.for_axis(model.axis, model.dt)
+    record = record.in_units(model.units, model.axis).for_axis(model.axis, model.dt)
     if not same_rate(record.dt, model.dt):
         raise BadInputError(record.source, "sample rate must be the model's",
                             f'{1 / record.dt:.6g} Hz, model {1 / model.dt:.6g} Hz',

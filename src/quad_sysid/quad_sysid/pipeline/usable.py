@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from quad_sysid.axes import EVERY
-from quad_sysid.contract import IDLE, FloatArray
+from quad_sysid.contract import AXES, IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.discover.constants import LEAST_BLOCKS
 from quad_sysid.errors import BadInputError, NotInformativeError
@@ -41,12 +41,15 @@ LEAST_OVERLAP = 50
 def together(records: Sequence[Record]) -> tuple[Record, ...]:
     """The records at the first one's sample interval, as if all had its clock.
 
-    With the motors' lag where the speeds of the rotors were measured.
+    With the motors' lag where the speeds of the rotors were measured, and arrays in the first
+    one's units.
 
-    Raises BadInputError where their rates differ by more than SAME_RATE, or where two of them
-    hold the same measurement, which would count twice.
+    Raises BadInputError where their rates differ by more than SAME_RATE, where two of them
+    hold the same measurement, which would count twice, or where arrays are of unlike units.
     """
     first = records[0]
+    records = [record.in_units(first.units, next((s.axis for s in record.segments), AXES[0]))
+               for record in records]
     for record in records[1:]:
         if not same_rate(record.dt, first.dt):
             raise BadInputError(record.source, 'all bags must have one sample rate',

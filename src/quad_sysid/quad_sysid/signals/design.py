@@ -17,6 +17,10 @@ PERIODS = (3.0, 5.0)
 """Eq. (9): N * clock = 3 to 5 of the longest time constant."""
 SAMPLES_PER_CLOCK = 2
 """Least number of samples for which a bit is held."""
+LEAST_TRAIN_S, FIT_S = 10.0, 5.0
+"""Shortest training that is proposed, and that of which anything can be fitted, s."""
+LONGEST_SQUARE_S = 8.0
+"""Longest square wave: two periods of it in its segment."""
 MAX_PERIOD_S = 120.0
 """Length of the training, s, up to which a whole period is flown unless a length is asked for."""
 TURN = 0.3 * 2.0 * math.pi
@@ -126,7 +130,7 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
 
     Eq. (10): 0.3 / clock = 1 / (2 pi tau_min) with tau_min = 1 / high, rounded down to whole
     samples so that the band is covered. Eq. (9): N * clock = 3 to 5 tau_max, tau_max = 1 / low, by
-    the register length that comes nearest to 4. This period is the training, up to 120 s, and
+    the register length that comes nearest to 4. This period is the training, 10 to 120 s, and
     ends above LOW. With `train_s`, s, the training is that long, by the shortest register whose
     first line reaches LOW.
     """
@@ -155,18 +159,20 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
     return Design(low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
                   clock_samples=samples, register_bits=bits,
                   validation_bits=bits - 1 if bits > min(TAPS) else bits + 1,
-                  square_period_s=round(2.0 * math.pi / middle, 3),
+                  square_period_s=min(round(2.0 * math.pi / middle, 3), LONGEST_SQUARE_S),
                   unit_s=round(TURN / (high_rad_s / 3.0), 3),
-                  train_s=train_s or math.ceil(min(period_s, MAX_PERIOD_S)))
+                  train_s=train_s or math.ceil(min(max(period_s, LEAST_TRAIN_S), MAX_PERIOD_S)))
 
 
 def _reach(d: Design) -> str:
     """What the training covers, and what would reach LOW."""
     covered = (f'training {d.train_s:g} s: covers {d.flown_low_rad_s:.3g} to '
                f'{d.covered_rad_s[1]:.4g} rad/s')
+    if d.train_s < FIT_S:
+        return f'{covered}; too short for a fit, which takes --seconds {FIT_S:g} at least'
     if d.flown_low_rad_s <= d.low_rad_s:
         return covered
-    needed = math.ceil(2.0 * math.pi / (SPARED * d.low_rad_s))
+    needed = math.ceil(max(2.0 * math.pi / (SPARED * d.low_rad_s), LEAST_TRAIN_S))
     if needed > MAX_DURATION_S:
         remedy = f'that takes {needed} s; a segment lasts at most {MAX_DURATION_S:g} s: raise LOW'
     elif d.low_rad_s * (2 ** max(TAPS) - 1) * d.clock_s < 2.0 * math.pi:
