@@ -118,8 +118,8 @@ def test_climb_near_the_ground_names_it():
     assert [effect['name'] for effect in tree['effects']] == ['ground_effect']
     radius, ground = tree['effects'][0]['parameters']
     assert (radius['unit'], ground['unit']) == ('m', 'm')
-    assert radius['value'] == pytest.approx(RADIUS, rel=0.1)
-    assert ground['value'] == pytest.approx(-HEIGHT, rel=0.1)
+    assert radius['value'] == pytest.approx(RADIUS, rel=0.02)
+    assert ground['value'] == pytest.approx(-HEIGHT, rel=0.02)
 
 
 def test_surge_without_drag_lacks_nothing():

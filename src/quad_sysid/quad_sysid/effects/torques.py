@@ -61,6 +61,8 @@ LEAST_CLIMB_M = 0.1
 """Least change of the altitude, m, for the ground effect."""
 LEAST_HEIGHT = 0.5
 """Below this share of the least height that was trained on it grows no more."""
+LEAST_LEFT = 0.5
+"""Thrust at most doubles, as it does at z = 0.35 R, where the law of a single source ends."""
 
 
 def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
@@ -69,7 +71,7 @@ def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
 
 
 class GroundEffect(Effect):
-    """Thrust that grows near the ground, 1 + (R / 4 z)² of what it is far from it.
+    """Thrust that grows near the ground, 1 / (1 - (R / 4 z)²) of what it is far from it.
 
     R is that of all rotors together (Cheeseman, Bennett 1955), `clearance` the least height z that
     was flown.
@@ -80,7 +82,7 @@ class GroundEffect(Effect):
     term = 'gain'
     axes = ('climb',)
     parameters = (
-        Spec('strength', 'm²', positive=True),
+        Spec('strength', 'm²', spread=0.02, positive=True),  # (R / 4)²; R of 0.57 m
         Spec('clearance', 'm', spread=1.0, centre=math.log(0.3), log=True,
              starts=(0.1, 0.3, 0.8)),
     )
@@ -96,7 +98,8 @@ class GroundEffect(Effect):
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         height = required(s.angle) - settings['lowest'] + p[1]
-        return p[0] * s.drive / np.maximum(height, LEAST_HEIGHT * p[1]) ** 2
+        square = np.maximum(height, LEAST_HEIGHT * p[1]) ** 2
+        return p[0] * s.drive / np.maximum(square - p[0], LEAST_LEFT * square)
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         return {'radius': (4.0 * math.copysign(math.sqrt(abs(p[0])), p[0]), 'm'),
