@@ -41,7 +41,7 @@ void quad_endpoint_init(quad_endpoint *e, const quad_settings *settings)
     e->volts = QUAD_MOST_VOLTS;
     e->list_next = QUAD_PARAMETERS;
     quad_excitation_init(&e->excitation);
-    quad_gains_init(&e->gains, settings->stored);
+    e->unreadable = !quad_gains_init(&e->gains, settings->stored) || settings->unreadable;
     e->gains.good[QUAD_LOOP_RATE_HZ] = (float)e->settings.rate_hz;
     e->gains.active[QUAD_LOOP_RATE_HZ] = (float)e->settings.rate_hz;
     memcpy(e->in_force, e->gains.active, sizeof e->in_force);
@@ -167,10 +167,13 @@ static void keep_still(quad_endpoint *e, const quad_cycle *r)
 static void check_setup(quad_endpoint *e, const quad_cycle *r)
 {
     const char *fault = quad_setup_fault(r->gains);
-    if (fault != NULL && !e->unfit) {
+    if (fault == NULL && e->unreadable && e->gains.confirmations == 0) { /* this one's axes may be another's */
+        fault = "set-up: the stored one cannot be read, do it anew";
+    }
+    if (fault != NULL && e->unfit == NULL) {
         quad_put_text(e, 3, fault);
     }
-    e->unfit = fault != NULL;
+    e->unfit = fault;
 }
 
 static bool due(const quad_endpoint *e, uint32_t cycle, uint32_t per_second)

@@ -41,6 +41,7 @@ typedef struct {
     bool armed;                /* at the start: for rigs, whose switch is in the supply */
     bool may_arm;              /* by command of the bridge; disarming is always obeyed */
     const float *stored;       /* QUAD_PARAMETERS confirmed values from flash, or NULL */
+    bool unreadable;           /* flash holds other values, of which nothing is known */
     const uint8_t *key;        /* 32 bytes, or NULL: nobody signs */
     uint64_t signing_time;     /* with a key: see quad_endpoint_signing_time; 0 where unknown */
 } quad_settings;
@@ -86,7 +87,8 @@ typedef struct {
     quad_excitation excitation;
     float in_force[QUAD_PARAMETERS];
     bool armed, low_battery, tilted;
-    bool unfit; /* the set-up has a fault */
+    bool unreadable; /* values in flash are not used */
+    const char *unfit; /* what is wrong with the set-up; NULL: nothing */
     struct {
         size_t motor;
         float throttle;

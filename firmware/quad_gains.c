@@ -23,7 +23,7 @@ static void revert(quad_gains *gains)
     copy_set(gains->active, gains->good);
 }
 
-void quad_gains_init(quad_gains *gains, const float *stored)
+bool quad_gains_init(quad_gains *gains, const float *stored)
 {
     memset(gains, 0, sizeof *gains);
     bool use = stored != NULL;
@@ -34,6 +34,7 @@ void quad_gains_init(quad_gains *gains, const float *stored)
         gains->good[i] = use ? stored[i] : quad_parameters[i].start;
     }
     copy_set(gains->active, gains->good);
+    return use || stored == NULL;
 }
 
 void quad_gains_heard(quad_gains *gains, uint64_t now_us)

@@ -32,8 +32,9 @@ typedef struct {
     uint32_t checksum;
 } quad_gains_request;
 
-/* `stored`: QUAD_PARAMETERS values kept from before; where one of them does not fit, or NULL: the table's, all. */
-void quad_gains_init(quad_gains *gains, const float *stored);
+/* `stored`: QUAD_PARAMETERS values kept from before; where one of them does not fit, or NULL: the table's, all.
+ * False where they are there and do not fit. */
+bool quad_gains_init(quad_gains *gains, const float *stored);
 
 /* A frame of the bridge has come. */
 void quad_gains_heard(quad_gains *gains, uint64_t now_us);

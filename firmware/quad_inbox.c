@@ -103,7 +103,7 @@ const char *quad_endpoint_unarmed(const quad_endpoint *e)
         {e->blind, "not armed: the gyro is silent or was not at rest"},
         {(flags & QUAD_FLAG_ANGLE_LIMIT) != 0, "not armed: tilted"},
         {e->low_battery, "not armed: low battery"},
-        {e->unfit, "not armed: the set-up has a fault"},
+        {e->unfit != NULL, e->unfit},
         {e->test.until_us != 0, "not armed: a motor is tested"},
         {quad_gains_sets_up(&e->gains), "not armed: the set-up is being written"},
     };
@@ -118,7 +118,7 @@ const char *quad_endpoint_unarmed(const quad_endpoint *e)
 bool quad_endpoint_may_test_now(const quad_endpoint *e)
 {
     const uint16_t unsafe = QUAD_FLAG_RC_KILL | QUAD_FLAG_RC_FAILSAFE | QUAD_FLAG_ANGLE_LIMIT | QUAD_FLAG_ARMED;
-    return !e->armed && e->throttle_low && !e->blind && !e->unfit && (e->last_flags & unsafe) == 0 &&
+    return !e->armed && e->throttle_low && !e->blind && e->unfit == NULL && (e->last_flags & unsafe) == 0 &&
            e->began_us >= e->flew_us + STANDS_US;
 }
 

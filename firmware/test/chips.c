@@ -407,13 +407,15 @@ static void test_not_armed(void)
     static const char *const why[] = {"not armed: throttle above 5 %", "not armed: kill switch", "not armed: low battery",
                                       "not armed: the gyro", "not armed: tilted"};
     static quad_firmware f;
-    const quad_firmware_settings settings = quad_firmware_defaults();
+    quad_firmware_settings settings = quad_firmware_defaults();
     float motors[4];
-    for (int k = 0; k < 7; k++) {
+    for (int k = 0; k < 8; k++) {
         quad_inputs in = {.sensors = {.samples = k == 3 ? 0 : 1, .accel = {{0.0f, 0.0f, 9.81f}}}};
         in.sensors.accel[0][1] = k == 4 ? 9.81f : 0.0f;
         in.sensors.slow.battery_v = (k == 2 ? 9.0f : 12.0f) / 11.0f;
+        settings.endpoint.unreadable = k == 7;
         quad_firmware_init(&f, &settings);
+        check(k != 7 || !said(&f, "set-up"), "it has said nothing yet");
         for (uint64_t cycle = 0; cycle < 60; cycle++) {
             for (size_t i = 0; i < QUAD_CHANNELS; i++) {
                 const bool on = (i == 4 && k == 1) || (i == 5 && cycle >= 40);
@@ -426,7 +428,22 @@ static void test_not_armed(void)
         }
         check(f.endpoint.armed == (k == 5), "armed where nothing forbids it");
         check(k > 4 || said(&f, why[k]), "and what does is said");
+        check(k != 7 || said(&f, "set-up: the stored one cannot be read"), "a set-up that was lost, too");
     }
+    f.endpoint.gains.confirmations = 1;
+    quad_inputs in = {.sensors = {.samples = 1, .accel = {{0.0f, 0.0f, 9.81f}}, .slow = {.battery_v = 12.0f / 11.0f}}};
+    for (uint64_t cycle = 60; cycle < 80; cycle++) {
+        for (size_t i = 0; i < QUAD_CHANNELS; i++) {
+            in.receiver.pulse_us[i] = i < 4 && i != 2 ? 1500.0f : i == 5 && cycle >= 70 ? 2000.0f : 1000.0f;
+        }
+        quad_firmware_cycle(&f, 4000 * cycle, &in, motors);
+    }
+    check(f.endpoint.armed, "until there is another one");
+    float lost[QUAD_PARAMETERS];
+    memcpy(lost, f.endpoint.gains.good, sizeof lost);
+    check(quad_gains_init(&f.endpoint.gains, lost), "its own values fit");
+    lost[QUAD_PARAMETERS - 1] = NAN;
+    check(!quad_gains_init(&f.endpoint.gains, lost), "one that does not fit is told of");
 }
 
 int main(void)

@@ -58,6 +58,14 @@ int main(void)
     if (quad_store_load(&flash, found)) {
         return printf("erased flash has gains\n"), 1;
     }
+    pages[1][3] = 7u; /* of another firmware */
+    if (!quad_store_strange(&flash)) {
+        return printf("strange values are taken for none\n"), 1;
+    }
+    pages[1][3] = 0xFFFFFFFFu;
+    if (quad_store_strange(&flash)) {
+        return printf("erased flash is strange\n"), 1;
+    }
     for (int round = 0; round < 4 * RECORDS; round++) {
         bytes_left = -1;
         fill(old, (float)round);
@@ -95,6 +103,9 @@ int main(void)
             return printf("word %zu of the newest is wrong: the one before is not found\n", word), 1;
         }
         pages[0][QUAD_STORE_WORDS + word] ^= 1u;
+    }
+    if (quad_store_strange(&flash)) {
+        return printf("its own records are strange\n"), 1;
     }
     printf("%ld cuts\n", cuts);
     return 0;

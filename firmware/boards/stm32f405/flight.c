@@ -64,6 +64,7 @@ static void begin(void)
     quad_firmware_settings settings = quad_firmware_defaults();
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = stored ? kept : NULL;
+    settings.endpoint.unreadable = quad_store_strange(&board_flash);
     quad_firmware_init(&flight.firmware, &settings);
     if (RECEIVER >= SBUS) {
         serial_radio_start(&flight.serial, (serial_kind)(RECEIVER - SBUS));
@@ -133,8 +134,8 @@ static void hear_pilot(uint64_t now_us)
 
 static void tell_pilot(uint32_t cycle)
 {
-    uint8_t bytes[SERIAL_LONGEST];
     if (RECEIVER == CRSF && cycle % TELEMETRY == 0) {
+        uint8_t bytes[SERIAL_LONGEST];
         const bool battery = cycle / TELEMETRY % 2 == 0;
         receiver_tell(bytes, battery ? serial_radio_battery(flight.firmware.control.volts, bytes)
                                      : serial_radio_attitude(flight.firmware.record.attitude, bytes));
