@@ -65,7 +65,7 @@ void receiver_hear(serial_radio *r, uint64_t now_us)
     for (; line.tail != head; line.tail++) {
         const uint16_t after_us = (uint16_t)(line.at_us[line.tail % RING] - (uint16_t)now_us);
         const bool before = after_us >= 0x8000u; /* else it came since now_us was asked for */
-        serial_radio_take(r, line.bytes[line.tail % RING], before ? now_us - (0x10000u - after_us) : now_us + after_us);
+        serial_radio_take(r, line.bytes[line.tail % RING], before ? now_us - (uint64_t)(0x10000u - after_us) : now_us + after_us);
     }
 }
 
