@@ -16,6 +16,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+import quad_sysid
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ('quad_bridge', 'quad_sysid', 'quad_tuning')
 NEEDED, RUN = ('quad_firmware', 'quad_bridge'), 'run quad_bridge virtual_stm32 --duration 1'
@@ -64,6 +66,8 @@ def test_manifest_and_setup_agree_and_every_entry_point_leads_to_a_function(pack
         assert f'{name}: {manifest.findtext(name)}\n' in (ROOT / 'CITATION.cff').read_text()
     newest = re.search(r'^## (.*)', (ROOT / 'CHANGELOG.md').read_text(), re.MULTILINE)
     assert newest[1] == manifest.findtext('version')
+    if package == 'quad_sysid':
+        assert quad_sysid.__version__ == newest[1]
     for line in (line for lines in arguments['entry_points'].values() for line in lines):
         module, function = line.split('=')[1].strip().split(':')
         path = ROOT / 'src' / module.split('.')[0] / (module.replace('.', '/') + '.py')

@@ -28,6 +28,10 @@ def __getattr__(name: str) -> object:
     """Load a public name from its home (PEP 562)."""
     if name == '__all__':
         return sorted(_HOME_OF)
+    if name == '__version__':
+        from importlib.metadata import version
+
+        return version('quad-sysid')
     if name not in _HOME_OF:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     value = getattr(import_module(_HOME_OF[name]), name)

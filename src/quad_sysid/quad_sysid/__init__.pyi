@@ -65,3 +65,5 @@ from quad_sysid.result import undetermined as undetermined
 from quad_sysid.signals import design_excitation as design_excitation
 from quad_sysid.signals import prbs as prbs
 from quad_sysid.units import Units as Units
+
+__version__: str
