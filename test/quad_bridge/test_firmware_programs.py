@@ -2,6 +2,7 @@
 
 import platform
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,19 @@ def test_no_bytes_break_it(firmware, seed, number, least):
     *used, reverts = (int(re.search(rf'(\d+) {word}', told)[1]) for word in DEPTHS)
     assert min(used) > least
     assert reverts > least // 50
+
+
+def test_another_receiver_or_battery_builds_the_elf_anew(tmp_path):
+    """By a compiler that only notes that it was called."""
+    compiler = tmp_path / 'gcc'
+    compiler.write_text(f'#!/bin/sh\necho >>{tmp_path}/calls\nfor name; do :; done\n: >"$name"\n')
+    compiler.chmod(0o755)
+    calls = []
+    for chosen in ('RECEIVER=PPM', 'RECEIVER=SBUS', 'RECEIVER=SBUS', 'LOW_BATTERY_V=13.2'):
+        said('make', '-s', '-C', str(ROOT / 'firmware'), f'PYTHON={sys.executable}', chosen,
+             f'BUILD={tmp_path}', f'CROSS={tmp_path}/', f'{tmp_path}/flight.elf')
+        calls.append(len((tmp_path / 'calls').read_text()))
+    assert calls == [1, 2, 2, 3]
 
 
 EXAMPLE = """#include "quad_endpoint.h"

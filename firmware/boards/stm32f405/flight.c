@@ -20,6 +20,9 @@
 #ifndef RECEIVER
 #define RECEIVER PPM
 #endif
+#ifndef LOW_BATTERY_V
+#define LOW_BATTERY_V 9.9f
+#endif
 #define TELEMETRY 25u    /* cycles between two of CRSF's telemetry */
 #define RETRY 25u        /* cycles between two attempts at a chip that does not answer */
 #define SILENT 5u        /* cycles without the gyro before it is set up anew */
@@ -64,6 +67,7 @@ static void begin(void)
     quad_firmware_settings settings = quad_firmware_defaults();
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = stored ? kept : NULL;
+    settings.endpoint.low_battery_v = LOW_BATTERY_V;
     settings.endpoint.unreadable = quad_store_strange(&board_flash);
     quad_firmware_init(&flight.firmware, &settings);
     if (RECEIVER >= SBUS) {
