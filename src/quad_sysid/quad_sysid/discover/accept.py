@@ -46,7 +46,7 @@ def p_value(shares: FloatArray) -> float:
 
     One-sided t-test of as many independent blocks as these stand for, each of which may depend on
     the last: n (1 - r) / (1 + r) (Bayley, Hammersley 1946), with as many degrees of freedom. r is
-    their correlation, of which removing the mean takes (1 + 4 r) / n (Marriott, Pope 1954).
+    their correlation, of which removing the mean takes 1 / n.
     """
     n = shares.size
     if n < LEAST_BLOCKS:
@@ -57,7 +57,7 @@ def p_value(shares: FloatArray) -> float:
     if squares <= 0.0:
         return 0.0 if mean > 0.0 else 1.0
     estimated = float(left[1:] @ left[:-1]) / squares
-    dependence = min(max((n * estimated + 1.0) / max(n - 4, 1), 0.0), MOST_DEPENDENT)
+    dependence = min(max(estimated + 1.0 / n, 0.0), MOST_DEPENDENT)
     count = max(n * (1.0 - dependence) / (1.0 + dependence), LEAST_COUNT)
     variance = squares / (n * (1.0 - 1.0 / count))
     return float(special.stdtr(count, -mean * math.sqrt(count / variance)))
