@@ -9,7 +9,7 @@
 #define SHORTEST_US 800.0f
 #define LONGEST_US 2200.0f
 #define SWITCHED_US 1750.0f
-#define OFF_S 0.05f /* of the arming switch: longer than two frames of any receiver */
+#define SWITCH_S 0.05f /* until the arming switch counts as thrown: longer than two frames of any receiver */
 
 enum { ROLL, PITCH, THROTTLE, YAW, KILL, ARM, FREE, HOLD };
 
@@ -81,7 +81,7 @@ static void hear_receiver(quad_firmware *f, const quad_receiver *now, uint64_t n
     }
 }
 
-/* The pilot's switch: on arms where the throttle is low, off disarms whatever flies, but not by one frame that was
+/* The pilot's switch: on arms where the throttle is low, off disarms whatever flies, but neither by one frame that was
  * heard wrong: pulses have no checksum, nor has SBUS. */
 static void heed_switch(quad_firmware *f)
 {
@@ -92,22 +92,24 @@ static void heed_switch(quad_firmware *f)
     if (channel != f->arm_channel) { /* it is not known whether another switch was off */
         f->arm_channel = channel;
         f->arm_switch = true;
-        f->arm_off = 0;
+        f->arm_other = 0;
     }
     const bool on = f->receiver.pulse_us[channel - 1] > SWITCHED_US;
-    const uint32_t patience = (uint32_t)(OFF_S / f->period_s);
-    if (on && !f->arm_switch && !f->endpoint.armed) {
+    f->arm_other = on == f->arm_switch ? 0 : f->arm_other + 1;
+    if (f->arm_other < (uint32_t)(SWITCH_S / f->period_s)) {
+        return;
+    }
+    f->arm_other = 0;
+    f->arm_switch = on;
+    if (!on) {
+        f->endpoint.armed = false;
+    } else if (!f->endpoint.armed) {
         const char *why = quad_endpoint_unarmed(&f->endpoint);
         f->endpoint.armed = why == NULL;
         if (why != NULL) {
             quad_put_text(&f->endpoint, 4, why);
         }
     }
-    f->arm_off = on ? 0 : f->arm_off + 1;
-    if (f->arm_off == patience) {
-        f->endpoint.armed = false;
-    }
-    f->arm_switch = on;
 }
 
 /* Without a gyro nothing arms, and what flies is let fall before it turns over with a rate of long ago. */

@@ -47,7 +47,7 @@ typedef struct {
     float period_s;
     uint64_t failsafe_since_us;
     size_t arm_channel; /* the channel of `arm_switch` */
-    uint32_t arm_off; /* cycles for which it has been off */
+    uint32_t arm_other; /* cycles for which it has been heard other than `arm_switch` */
     bool in_failsafe, arm_switch;
 } quad_firmware;
 

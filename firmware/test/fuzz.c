@@ -139,6 +139,7 @@ static const char *broken(const quad_firmware *f)
 
 static void measure(quad_inputs *inputs)
 {
+    static uint32_t at; /* cycles since the arm switch was thrown off; it is on again from the 20th on */
     quad_sensors *s = &inputs->sensors;
     s->samples = draw(QUAD_MOST_SAMPLES + 2);
     for (size_t i = 0; i < QUAD_MOST_SAMPLES; i++) {
@@ -158,7 +159,11 @@ static void measure(quad_inputs *inputs)
         inputs->receiver.pulse_us[i] = number(i == 4 ? 1100.0f : 1500.0f, i == 4 ? 50.0f : 600.0f);
     }
     inputs->receiver.pulse_us[4] += draw(200) == 0 ? 900.0f : 0.0f;
-    inputs->receiver.pulse_us[5] = draw(20) == 0 ? 1100.0f : 1900.0f; /* the arm switch */
+    at = draw(200) == 0 ? 0 : at + 1;
+    inputs->receiver.pulse_us[5] = at < 20 ? 1100.0f : 1900.0f;
+    if (at >= 20 && at < 40 && draw(20) != 0) { /* as a pilot has it who arms */
+        inputs->receiver.pulse_us[2] = 1000.0f;
+    }
 }
 
 /* The second line too: whole frames and noise. */

@@ -637,6 +637,26 @@ static void test_cut_at_every_access(void)
     printf("%ld cuts between accesses to the flash\n", cuts - 1);
 }
 
+/* Records of this firmware of which none is whole. */
+static void test_a_set_up_that_cannot_be_read(void)
+{
+    uint32_t *word = (uint32_t *)(uintptr_t)pages;
+    const uint32_t layout = word[1];
+    memset(pages, 0, PAGES.bytes);
+    for (uint32_t i = 0; i < 2 * board_flash.records; i++) {
+        const size_t page = i < board_flash.records ? 0 : 0x8000 - board_flash.records * QUAD_STORE_WORDS;
+        word[page + i * QUAD_STORE_WORDS] = i + 1;
+        word[page + i * QUAD_STORE_WORDS + 1] = layout;
+    }
+    power();
+    fly_on(0.1);
+    CHECK(flight.firmware.endpoint.unfit != NULL);
+    memset(pages, 0xFF, PAGES.bytes);
+    power();
+    fly_on(0.1);
+    CHECK(flight.firmware.endpoint.unfit == NULL);
+}
+
 int main(void)
 {
     prom[7] = ms5611_crc(prom);
@@ -647,5 +667,6 @@ int main(void)
     test_gains_outlive_the_power();
     test_a_broken_flash_is_told_of_once();
     test_cut_at_every_access();
+    test_a_set_up_that_cannot_be_read();
     return 0;
 }

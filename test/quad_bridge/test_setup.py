@@ -1,6 +1,7 @@
 """Set-up: what the wizard measures is what was built, through the firmware in C and back."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,8 +30,10 @@ MAGNET = np.array([0.1, -0.25, 0.05])
 class Built:
     """An aircraft that stands as it is told, its firmware in memory; `Talk.wait` runs it."""
 
-    def __init__(self, **settings):
-        self.firmware = NativeFirmware(boot(Profile(**settings)).frame())
+    def __init__(self, stored=None):
+        settings = boot(Profile())
+        gains = settings.gains if stored is None else stored
+        self.firmware = NativeFirmware(replace(settings, gains=gains).frame())
         self.firmware.arm(armed=False)
         self.time_us, self.pulses, self.turning = 0, self.rest(), 0.0
         self.force, self.fields = np.array([0.0, 0.0, -9.80665]), np.array([[0.2, 0.0, 0.4]])
@@ -148,9 +151,9 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypat
     assert not any(built.outputs)  # it was stopped
 
 
-def standing():
+def standing(stored=None):
     """Throttle down, switches off, its set-up known."""
-    built = Built()
+    built = Built(stored)
     talk = Talk(built.wait, built.now_s)
     built.pulses = [1500.0, 1500.0, 1000.0, 1500.0, *[1000.0] * 5]
     talk.read()
@@ -193,6 +196,27 @@ def test_a_set_up_that_cannot_fly_does_not_arm_and_nothing_of_it_changes_armed()
     assert talk.cycle.flags & 1
     with pytest.raises(RefusedError, match='kept 1 instead of 3'):
         talk.write({'motors.output_1': 3.0})
+
+
+@pytest.mark.parametrize('restored', [False, True])
+def test_one_that_is_the_same_as_the_tables_is_written_too(restored):
+    """A firmware that could not read its own in flash waits for one that is confirmed."""
+    built, talk = standing([math.nan] * len(WIRE_NAMES))
+    built.pulses[5] = 2000.0
+    talk.wait(0.1)
+    built.pulses[5] = 1000.0
+    talk.wait(0.1)
+    assert not talk.cycle.flags & 1
+    assert 'set-up: the stored one cannot be read, do it anew' in talk.texts
+    if restored:
+        same = {row.name: row.start[0] for row in SET_UP}
+        assert wizard.written(talk, same) == {}
+    else:
+        assert wizard.Wizard(talk, lambda _: '', lambda _: None).run(['motors']) == {}
+    talk.wait(0.1)
+    built.pulses[5] = 2000.0
+    talk.wait(0.1)
+    assert talk.cycle.flags & 1
 
 
 def test_what_does_not_fit_is_refused_in_words():

@@ -58,8 +58,8 @@ static struct {
 static void begin(void)
 {
     float kept[QUAD_PARAMETERS];
-    quad_store_prepare(&board_flash); /* before the watchdog: an erasure takes seconds */
-    const bool stored = quad_store_load(&board_flash, kept);
+    quad_store_prepare(&board_flash); /* all before the watchdog: an erasure takes seconds, a search some of its time */
+    const bool stored = quad_store_load(&board_flash, kept), strange = !stored && quad_store_strange(&board_flash);
     const bool bitten = board_start();
     uart_start();
     i2c_start();
@@ -68,7 +68,7 @@ static void begin(void)
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = stored ? kept : NULL;
     settings.endpoint.low_battery_v = LOW_BATTERY_V;
-    settings.endpoint.unreadable = quad_store_strange(&board_flash);
+    settings.endpoint.unreadable = strange;
     quad_firmware_init(&flight.firmware, &settings);
     if (RECEIVER >= SBUS) {
         serial_radio_start(&flight.serial, (serial_kind)(RECEIVER - SBUS));

@@ -150,7 +150,8 @@ class Talk:
             words = [outcome_of(result) for result in self._acks]
             if any(word != ACCEPTED for word in words):
                 raise RefusedError(f'the firmware says {words[-1]}: disarmed, at rest for 2 s, '
-                                   'transmitter on, throttle down, kill switch off')  # fmt: skip
+                                   'transmitter on, throttle down, kill switch off, the set-up '
+                                   'without a fault')  # fmt: skip
         self._queue.append(frame(motor, 0.0))
         self.wait(STEP_S)
         if not self._acks:

@@ -96,10 +96,7 @@ class Wizard:
                 self._tell(f'  {name:28s} {self._now(name):10.4g} -> {value:10.4g} '
                            f'{ROWS[name].unit}')  # fmt: skip
             if self._yes('  write these'):
-                changed = changed_by(values, self._talk.values)
-                if changed:
-                    self._talk.write(changed)
-                self.written |= changed
+                self.written |= written(self._talk, values)
                 self._tell('  written, read back and kept')
             return
 
@@ -200,13 +197,20 @@ class Wizard:
         return measure.outputs(seen, self._talk.values)
 
 
-def changed_by(wanted: Mapping[str, float], now: Mapping[str, float]) -> dict[str, float]:
-    """The values that differ, inside the firmware's limits and as the wire carries them."""
+def written(talk: Talk, wanted: Mapping[str, float]) -> dict[str, float]:
+    """Write what differs, inside the firmware's limits and as the wire carries it; what that was.
+
+    Where nothing differs all is written: a firmware that could not read what it had kept has begun
+    with the table's values, and flies none, equal ones neither, before a set is confirmed.
+    """
     bounded = {}
     for name, value in wanted.items():
         low, high = ROWS[name].limits or (value, value)
         bounded[name] = float(np.float32(min(max(value, low), high)))
-    return {name: value for name, value in bounded.items() if value != now.get(name)}
+    changed = {name: value for name, value in bounded.items() if value != talk.values.get(name)}
+    if bounded:
+        talk.write(changed or bounded)
+    return changed
 
 
 def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
@@ -312,10 +316,7 @@ def _set_up(args: argparse.Namespace) -> int:
             Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
         else:
             talk.read()
-            changed = changed_by(restored, talk.values)
-            if changed:
-                talk.write(changed)
-            say(f'{len(changed)} values written\n')
+            say(f'{len(written(talk, restored))} values written\n')
         path = (args.folder or default_folder()) / talk.aircraft / FILE
         save(path, talk.aircraft, talk.values)
         say(f'{path}\n')
