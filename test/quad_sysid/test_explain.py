@@ -354,7 +354,8 @@ def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
         return np.mean(np.array(p_values) <= accept.LEVEL)
 
     assert confirmed(shares, 0.0, 0.0, 0.0) < 0.1
+    least = 0.55 if memory == 0.8 else 0.8  # 40 windows stand for four or five there
     for means in ((1.5, 1.5, 1.5), (1.5, -1.5, -1.5), (0.0, 1.5, 1.5)):
-        assert confirmed(shares[:200], *means) > 0.8, means
+        assert confirmed(shares[:200], *means) > least, means
     if not memory:  # a test of 40 blocks whose variance is known has 0.91
         assert confirmed(shares, 0.3, 0.3, 0.3) > 0.8

@@ -33,8 +33,9 @@ SHORT_S = HORIZONS_S[2]
 """Windows over which motors answer, and gusts have hardly turned the aircraft yet."""
 AT_ONCE = 20
 """Draws of random signs that are run side by side, which bounds the memory."""
-MOST_DEPENDENT, LEAST_COUNT = 0.98, 1.5
-"""Bounds of the dependence of neighbouring blocks, and of how many independent ones they are."""
+MOST_DEPENDENT, LEAST_COUNT = 0.98, 2.5
+"""Bounds of the dependence of neighbouring blocks, and of how many independent ones they are: with
+fewer degrees of freedom no mean, however large, would be confirmed in a short flight."""
 HUGE = 1e100
 LEAST_P = 1e-12
 LEAST_REPORTED = 0.005
