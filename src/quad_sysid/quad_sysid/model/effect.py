@@ -110,7 +110,7 @@ class Signals:
 
     @property
     def own_time(self) -> FloatArray:
-        """s from the first sample of its own flight."""
+        """Time, s, from the first sample of its own flight."""
         return self.time if self.since_start is None else self.since_start
 
     @classmethod
