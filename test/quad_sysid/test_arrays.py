@@ -322,6 +322,21 @@ def test_experiments_of_one_unit_are_compared_in_it_whatever_their_largest_value
     assert 'found mm/s, the other rpm' in refusal(qs.evaluate, found.model, sliding)
 
 
+def test_the_units_of_arrays_are_those_of_their_own_axis_alone():
+    from quad_sysid.comparison import trims
+
+    beside = 0.1 * np.roll(U, 7)
+    signals = {'throttle': 0.5 + 0.01 * U, 'pitch_command': beside, 'pitch_rate': Y}
+    flight = record(u=20.0 * U, units={'u': 'V', 'y': 'rpm'}, signals=signals)
+    np.testing.assert_allclose(flight.axis('roll').u, 20.0 * U)
+    np.testing.assert_allclose(flight.axis('pitch').u, beside)
+    np.testing.assert_allclose(flight.axis('pitch').y, Y)
+    found = trims(flight)
+    assert {axis: mean.unit for axis, mean in found.items()} == {
+        'roll': 'V', 'pitch': 'normalised command', 'climb': 'normalised command'}
+    assert found['climb'].value == pytest.approx(0.5, abs=0.01)
+
+
 def test_an_experiment_is_designed_in_the_units_of_the_arrays(result):
     found, _ = result
     design = qs.design_experiment(found, amplitude=2.0, seconds=2.0)

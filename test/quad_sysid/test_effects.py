@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.discover.base import best_base
+from quad_sysid.discover.constants import BELIEVED
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import extended
 from quad_sysid.effects import EFFECTS
@@ -40,6 +41,7 @@ from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline.evaluate import evaluate
 from quad_sysid.record import Record
 from quad_sysid.report import document
+from quad_sysid.report.missing_torque import Replay, over
 
 GAIN, HALF_S = 450.0, 0.0005
 """The simulator asks for the torque every half millisecond."""
@@ -560,6 +562,22 @@ def test_a_model_is_refused_on_a_flight_without_a_signal_that_it_needs(
         evaluate(replace(true_model, effects=(effect,)), replace(empty_flight, angles=angles))
 
 
+def test_near_the_ground_thrust_at_most_doubles():
+    """Where the law of a single source would let it grow without bounds."""
+    ground = next(e for e in EFFECTS if e.name == 'ground_effect')
+    height = np.array([0.01, 0.1, 0.2, 0.3, 0.6, 2.0])
+    s = Signals.at_rest(0.0 * height, 0.0 * height, angle=height, drive=np.full(6, 9.81))
+    for radius in (0.3, 1.0, 2.0):
+        gained = ground.torque(s, np.array([(0.25 * radius) ** 2, 0.2]), {'lowest': 0.2}) / 9.81
+        assert (np.diff(gained) <= 0.0).all()
+        assert gained.max() <= 1.0
+        far = height > 0.36 * radius
+        law = 1.0 / (1.0 - (0.25 * radius / height[far]) ** 2) - 1.0
+        np.testing.assert_allclose(gained[far & (height >= 0.1)], law[height[far] >= 0.1])
+    farming = (0.25 * 1.4) ** 2  # four propellers of 54 inches
+    assert farming < 0.6 * BELIEVED * ground.parameters[0].spread
+
+
 def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():
     plan = Plan(24.0, (('train', 'prbs', 4.0, 9.0), ('train', 'prbs', 13.0, 18.0),
                        ('validation', 'prbs', 19.0, 24.0)))
@@ -602,6 +620,23 @@ def test_a_curve_over_time_begins_anew_with_each_flight():
     found = extended(problem, base, screen(problem, base, parts)[0]).values[5:11]
     np.testing.assert_allclose(found - found[-1], 0.3 - 0.3 * np.minimum(knots / 15.0, 1.0) ** 2,
                                atol=0.05)
+
+
+def test_a_gain_that_wanders_is_drawn_over_all_flights_one_after_another():
+    data = axis_data([fly(Axis(), seed, SHORT) for seed in (1, 2)], 'roll')
+    problem = Problem(data, data.train)
+    problem.measure(base := best_base(problem))
+    drawn = {}
+    for how in ('wandering', 'smooth'):
+        label = f'shape:gain:time/{how}'
+        parts, _ = candidates(problem, [e for e in EFFECTS if e.label == label])
+        structure = Structure(tuple(parts))
+        theta = np.insert(base.theta, 5, np.zeros(structure.slices()[0].stop - 5))
+        shown = replace(base, structure=structure, theta=theta)
+        drawn[how] = over(Replay(problem, shown), parts[0]).values
+    assert (np.diff(drawn['wandering']) >= 0.0).all()
+    assert drawn['smooth'].max() < 21.0
+    assert drawn['wandering'].max() > 30.0
 
 
 @pytest.mark.parametrize('axis', ['climb', 'surge'])

@@ -10,7 +10,7 @@ import pytest
 from flown_axis import LONGER, SHORT, Axis, fly
 from scipy.signal import butter, lfilter, savgol_filter
 
-from quad_sysid.discover.accept import Unseen, judge
+from quad_sysid.discover.accept import Unseen, judge, p_value
 from quad_sysid.discover.base import best_base, both_orders
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Scored, SearchResult, extended, search
@@ -198,6 +198,13 @@ def test_a_claim_stands_where_the_model_without_it_cannot_follow_the_flight(rubb
     verdict = judged(data, problem, found)
     assert verdict.chosen.structure.labels == ('coulomb_friction',)
     assert verdict.claims[0].p_value < 0.01
+
+
+def test_windows_that_all_speak_for_the_commands_are_few_but_enough():
+    """Of the plain axis, flown for 7.5 s: neighbours are alike by chance, 0.55."""
+    scores = np.array([0.76, 0.7, 0.41, 0.5, 0.99, 0.96, 0.99, 0.98, 0.96, 0.86, 0.58, 0.43, 0.68])
+    assert p_value(scores) < 0.03
+    assert p_value(-scores) > 0.97
 
 
 def test_a_gust_at_an_angle_is_no_coupling_and_its_twin_is():

@@ -71,6 +71,21 @@ def test_its_parameters_and_what_it_lacks_are_found(found):
     assert 'built-in base only' in found.answer.proposal.refused_because
 
 
+def test_the_time_of_a_law_begins_anew_with_each_flight():
+    seen = []
+
+    def warming(x, u, p):
+        seen.append(np.max(u['time']))
+        return {'rate': p['gain'] * u['u'] * (1.0 - np.exp(-u['time'])) - p['drag'] * x['rate']}
+
+    base = qs.Base('warming', states=('rate',), inputs=('u', 'time'), keep=('lag', 'delay'),
+                   rhs=warming, parameters=RIG.parameters[:2])
+    given = arrays(STICKING)
+    qs.undetermined(base, [qs.from_arrays(**{**given, 'y': given['y'] + 1e-9 * k})
+                           for k in range(2)])
+    assert 10.0 < max(seen) < 21.0  # s, the length of each
+
+
 def test_its_model_runs_as_any_other(found):
     given, model = arrays(STICKING), found.model
     z = qs.IOData(given['u'], given['y'], DT)

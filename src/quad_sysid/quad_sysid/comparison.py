@@ -114,8 +114,9 @@ def of_model(model: AxisModel, *, alone: bool = False) -> dict[str, Estimate]:
 def trims(record: Record) -> dict[str, Estimate]:
     """Mean command of each axis over training and validation, normalised; of arrays in their unit.
 
-    Its error is the scatter between the flight's quarters, not that of their mean: a trim drifts
-    with wind and battery, between flights as within one.
+    Axes of which arrays hold signals beside theirs are normalised. The error is the scatter
+    between the flight's quarters, not that of their mean: a trim drifts with wind and battery,
+    between flights as within one.
     """
     used = np.zeros(record.n, dtype=bool)
     for segment in record.segments:
@@ -128,13 +129,15 @@ def trims(record: Record) -> dict[str, Estimate]:
     means = np.array([record.control[part].mean(axis=0)
                       for part in np.array_split(rows, QUARTERS)])
     std = means.std(axis=0, ddof=1)
-    units = record.units or Units()
-    unit = COMMAND if units.command == Units.command else units.command
-    return {
-        axis: Estimate(float(units.command_in(means[:, i]).mean()),
-                       float(std[i]) / abs(units.per_command), unit, QUARTERS - 1.0)
-        for axis, row in EVERY.items() if not row.outer and std[i := row.index + 1] > ROUNDING
-    }
+    own, other = record.units or Units(), Units()
+    out = {}
+    for axis, row in EVERY.items():
+        if not row.outer and std[i := row.index + 1] > ROUNDING:
+            units = own if axis == record.axis_of_units else other
+            unit = COMMAND if units.command == Units.command else units.command
+            out[axis] = Estimate(float(units.command_in(means[:, i]).mean()),
+                                 float(std[i]) / abs(units.per_command), unit, QUARTERS - 1.0)
+    return out
 
 
 def flight_of(flight: Any, axes: tuple[str, ...] = (), effects: Sequence[Effect] | None = None,

@@ -38,7 +38,7 @@ Step: TypeAlias = Callable[[Values, Values, Values, float], Mapping[str, Any]]
 
 BUILT_IN_TERMS = tuple(spec.name for spec in BASE)
 SIGNALS = ('battery', 'throttle', 'time')
-"""Inputs beside the first, which is u."""
+"""Inputs beside the first, which is u; the time of each flight begins at 0."""
 COLLINEAR = 3e-3
 """Smallest over largest singular value of scaled sensitivities, below which two are one."""
 SHOWN = 0.3
@@ -186,7 +186,7 @@ class _Law(Effect):
             x[base.position] = required(s.angle) / units.per_motion
         sent = np.zeros_like(s.lagged) if settings.get('silent') else s.lagged
         u: dict[str, Any] = {base.inputs[0]: (sent - units.zero_command) / units.per_command}
-        signals = {'battery': s.battery_v, 'throttle': s.throttle, 'time': s.time}
+        signals = {'battery': s.battery_v, 'throttle': s.throttle, 'time': s.own_time}
         return x, u | {name: signals[name] for name in base.inputs[1:]}
 
     def _named(self, p: FloatArray) -> dict[str, float]:

@@ -190,8 +190,8 @@ class Record:
         """Input and output of one axis over the segments of `role` (all of the record: None).
 
         r is `external(name)` where that is known throughout, else None. Raises BadInputError for
-        another axis or role and NotInformativeError where nothing is left. Of arrays all three
-        are in the units in which they were handed in.
+        another axis or role and NotInformativeError where nothing is left. Of the axis of arrays
+        u and y are in the units in which they were handed in, and r in that of the motion.
         """
         motion = self.motion(name)
         if role not in (None, *ROLES):
@@ -211,7 +211,7 @@ class Record:
             )
         if r is not None and not all(np.isfinite(r[a:b]).all() for a, b in runs):
             r = None
-        if self.units is not None:
+        if self.units is not None and name == self.axis_of_units:
             u, y = self.units.command_in(u), self.units.rate_in(y)
             r = None if r is None else r / self.units.per_motion
         return IOData(u=u, y=y, dt=self.dt, r=r, segments=tuple(runs))
@@ -282,6 +282,11 @@ class Record:
         """Index range [start, stop) of a segment."""
         start = max(0, round(segment.start_s / self.dt))
         return start, min(self.n, round(segment.end_s / self.dt))
+
+    @property
+    def axis_of_units(self) -> str:
+        """The axis of the arrays that it was made of, whose units are `units`."""
+        return next((s.axis for s in self.segments), AXES[0])
 
     def in_units(self, units: Units | None, name: str) -> Record:
         """The record with the commands of an axis normalised as these units do, if it has any.

@@ -48,7 +48,7 @@ def signal_of(s: Signals, name: str) -> FloatArray:
         return required(s.other_angles)[int(name[-1]) - 1]
     return required({
         'rate': s.rate, 'angle': s.angle, 'throttle': s.throttle, 'battery': s.battery_v,
-        'time': s.time if s.since_start is None else s.since_start, 'command': s.lagged,
+        'time': s.own_time, 'command': s.lagged,
     }[name])
 
 

@@ -82,7 +82,7 @@ class GroundEffect(Effect):
     term = 'gain'
     axes = ('climb',)
     parameters = (
-        Spec('strength', 'm²', spread=0.02, positive=True),  # (R / 4)²; R of 0.57 m
+        Spec('strength', 'm²', spread=0.05, positive=True),  # (R / 4)²; R of 0.9 m
         Spec('clearance', 'm', spread=1.0, centre=math.log(0.3), log=True,
              starts=(0.1, 0.3, 0.8)),
     )
@@ -99,7 +99,8 @@ class GroundEffect(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         height = required(s.angle) - settings['lowest'] + p[1]
         square = np.maximum(height, LEAST_HEIGHT * p[1]) ** 2
-        return p[0] * s.drive / np.maximum(square - p[0], LEAST_LEFT * square)
+        gained = p[0] / np.maximum(square - p[0], LEAST_LEFT * square)
+        return np.minimum(gained, 1.0) * s.drive
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         return {'radius': (4.0 * math.copysign(math.sqrt(abs(p[0])), p[0]), 'm'),

@@ -93,7 +93,7 @@ class Signals:
     motors: tuple[FloatArray, ...] | None = None
     """Commands of the motors, normalised."""
     since_start: FloatArray | None = None
-    """s from the first sample of its own flight; None: as `time`."""
+    """s from the first sample of its own flight; None: as `time` (see `own_time`)."""
     hidden: FloatArray | None = None
     """(states, …) hidden states of the effect, if any, at the start of the cycle."""
     sent: FloatArray | None = None
@@ -107,6 +107,11 @@ class Signals:
     """Delay of the base, s."""
     dt: float = 0.0
     """Length of a cycle, s."""
+
+    @property
+    def own_time(self) -> FloatArray:
+        """Time, s, from the first sample of its own flight."""
+        return self.time if self.since_start is None else self.since_start
 
     @classmethod
     def at_rest(cls, time: FloatArray, throttle: FloatArray, **signals: Any) -> Signals:

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from quad_sysid.axes import EVERY
-from quad_sysid.contract import AXES, IDLE, FloatArray
+from quad_sysid.contract import IDLE, FloatArray
 from quad_sysid.craft import Craft
 from quad_sysid.discover.constants import LEAST_BLOCKS
 from quad_sysid.errors import BadInputError, NotInformativeError
@@ -48,8 +48,7 @@ def together(records: Sequence[Record]) -> tuple[Record, ...]:
     hold the same measurement, which would count twice, or where arrays are of unlike units.
     """
     first = records[0]
-    records = [record.in_units(first.units, next((s.axis for s in record.segments), AXES[0]))
-               for record in records]
+    records = [record.in_units(first.units, record.axis_of_units) for record in records]
     for record in records[1:]:
         if not same_rate(record.dt, first.dt):
             raise BadInputError(record.source, 'all bags must have one sample rate',

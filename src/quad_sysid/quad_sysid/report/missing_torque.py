@@ -169,7 +169,7 @@ def over(replay: Replay, part: Part) -> Over:
     name = signal.rstrip(' 12') if signal.startswith('other') else signal
     field, unit = OVER[name]
     values = getattr(replay.signals, field)
-    if name == 'time' and isinstance(part.effect, Shape):
+    if name == 'time' and isinstance(part.effect, Shape) and not part.effect.wanders:
         values = signal_of(replay.signals, name)
     if 'other' in name:
         which, product = (*part.effect.others, 0)[0], name.startswith('product')
