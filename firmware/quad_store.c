@@ -108,11 +108,9 @@ bool quad_store_load(const quad_flash *flash, float values[QUAD_PARAMETERS])
     return newest(flash, values).number > 0;
 }
 
-bool quad_store_strange(const quad_flash *flash)
+bool quad_store_blank(const quad_flash *flash)
 {
-    float values[QUAD_PARAMETERS];
-    const size_t unused = free_records(flash, 0) + free_records(flash, 1);
-    return unused < 2u * flash->records && newest(flash, values).number == 0;
+    return free_records(flash, 0) + free_records(flash, 1) == 2u * flash->records;
 }
 
 bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS])

@@ -22,8 +22,8 @@ typedef struct {
  * there is none. It checks that record and no older one. */
 bool quad_store_load(const quad_flash *flash, float values[QUAD_PARAMETERS]);
 
-/* Whether there is something else in it and no such record, as after an update that knows other parameters. */
-bool quad_store_strange(const quad_flash *flash);
+/* Whether nothing is in it. Where that is not so and nothing can be loaded, it holds what another firmware wrote. */
+bool quad_store_blank(const quad_flash *flash);
 
 /* Append a record; false where there is no room before quad_store_prepare, or it cannot be read back. */
 bool quad_store_save(const quad_flash *flash, const float values[QUAD_PARAMETERS]);

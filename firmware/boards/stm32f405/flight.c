@@ -20,9 +20,6 @@
 #ifndef RECEIVER
 #define RECEIVER PPM
 #endif
-#ifndef LOW_BATTERY_V
-#define LOW_BATTERY_V 9.9f
-#endif
 #define TELEMETRY 25u    /* cycles between two of CRSF's telemetry */
 #define RETRY 25u        /* cycles between two attempts at a chip that does not answer */
 #define SILENT 5u        /* cycles without the gyro before it is set up anew */
@@ -59,7 +56,7 @@ static void begin(void)
 {
     float kept[QUAD_PARAMETERS];
     quad_store_prepare(&board_flash); /* all before the watchdog: an erasure takes seconds, a search some of its time */
-    const bool stored = quad_store_load(&board_flash, kept), strange = !stored && quad_store_strange(&board_flash);
+    const bool stored = quad_store_load(&board_flash, kept), strange = !stored && !quad_store_blank(&board_flash);
     const bool bitten = board_start();
     uart_start();
     i2c_start();
@@ -67,7 +64,9 @@ static void begin(void)
     quad_firmware_settings settings = quad_firmware_defaults();
     settings.endpoint.aircraft = board_id();
     settings.endpoint.stored = stored ? kept : NULL;
+#ifdef LOW_BATTERY_V
     settings.endpoint.low_battery_v = LOW_BATTERY_V;
+#endif
     settings.endpoint.unreadable = strange;
     quad_firmware_init(&flight.firmware, &settings);
     if (RECEIVER >= SBUS) {

@@ -61,8 +61,6 @@ LEAST_CLIMB_M = 0.1
 """Least change of the altitude, m, for the ground effect."""
 LEAST_HEIGHT = 0.5
 """Below this share of the least height that was trained on it grows no more."""
-LEAST_LEFT = 0.5
-"""Thrust at most doubles, as it does at z = 0.35 R, where the law of a single source ends."""
 
 
 def _stribeck(s: Signals, p: FloatArray) -> FloatArray:
@@ -99,8 +97,8 @@ class GroundEffect(Effect):
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         height = required(s.angle) - settings['lowest'] + p[1]
         square = np.maximum(height, LEAST_HEIGHT * p[1]) ** 2
-        gained = p[0] / np.maximum(square - p[0], LEAST_LEFT * square)
-        return np.minimum(gained, 1.0) * s.drive
+        # at most doubled, as at z = 0.35 R, where the law of a single source ends
+        return p[0] / np.maximum(square - p[0], p[0]) * s.drive
 
     def readable(self, p: FloatArray, settings: Settings) -> Mapping[str, tuple[float, str]]:
         return {'radius': (4.0 * math.copysign(math.sqrt(abs(p[0])), p[0]), 'm'),
