@@ -150,9 +150,10 @@ class Ladder:
         return np.asarray(100.0 * np.min([np.ones(missed.shape[0]), *shares], axis=0))
 
     def sufficient(self, missed: FloatArray, weights: FloatArray) -> int | None:
-        """The lowest rung that explains EXPLAINS, or that misses next to nothing; else None."""
-        enough = np.flatnonzero((self.explained(missed, weights) >= EXPLAINS)
-                                | self.slight(missed, weights))
+        """The lowest rung that explains EXPLAINS, or the base that misses next to nothing."""
+        if self.slight(missed[:1], weights)[0]:
+            return 0
+        enough = np.flatnonzero(self.explained(missed, weights) >= EXPLAINS)
         return int(enough[0]) if enough.size else None
 
     @cached_property
