@@ -164,6 +164,10 @@ def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
     light = np.where(np.isin(np.arange(missed.size), slow), 1.0, 1e-9)
     assert ladder.sufficient(rows, equal) == ladder.sufficient(rows, light) == 2
     assert ladder.sufficient(rows[:2], equal) is None
+    times = max(total[1] / most for total, most in ladder._by_thirds(rows, equal))
+    small = 0.9 / times * rows  # the middle one misses next to nothing
+    assert list(ladder.slight(small, equal)) == [False, True, True]
+    assert ladder.sufficient(small, equal) == 2
 
 
 def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answer):
