@@ -170,6 +170,19 @@ def test_gains_that_fly_badly_go_back_within_the_watch(flying):
     assert abs(line.controller.angles[0]) < 0.6
 
 
+@both
+def test_a_disk_that_fills_between_two_steps_ends_the_trial(flying, name):
+    line, p = flying(name), P[name]
+    before = line.controller.parameters[p]
+    line.ask(roll_rate_kp=2.4 * line.updates.active['roll.rate.kp'])
+    line.fly(1.0)
+    assert line.controller.parameters[p] > 1.9 * before
+    line.updates.protocol.keep = lambda _, done: done(False)
+    line.fly(6.0)
+    assert line.controller.parameters[p] == before
+    assert 'the next step was not written' in ' '.join(line.notes)
+
+
 @pytest.mark.parametrize('landed', [2, 4])
 def test_the_first_gains_after_the_connection_are_watched_also_while_it_lands(flying, landed):
     line, p = flying('px4'), P['px4']

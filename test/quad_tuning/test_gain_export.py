@@ -54,7 +54,8 @@ def test_px4_gives_the_same_command_for_the_same_error(file, printed):
     file.write_text(file.read_text().replace('"yaw.rate.kd": 0', '"yaw.rate.kd": 0.001'))
     half = {name: 0.5 * value for name, value in GAINS.items() if name.startswith('roll')}
     tree = json.loads(file.read_text())
-    tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains']]
+    beyond = {name: 1.5 * value for name, value in half.items()}  # after another flight
+    tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains'], beyond]
     file.write_text(json.dumps(tree))
     told = printed(main, 'export', file, '--to', 'px4', *UNITS)
     assert '# Step 1 of 2, set and fly it before the next: MC_ROLL_P 4.75, ' in told

@@ -75,7 +75,8 @@ BETAFLIGHT_NOTES = (
      'measured rate, as ours.'),
     AT_THROTTLE,
     ('Feed-forward, I-term relax, anti-gravity and RPM filters stay as they are. Before 2025.12 '
-     'set d_min_* to the same value as d_*, which is the largest D there.'),
+     'set d_min_* to the same value as d_*, which is the largest D there; before 4.0 an I of '
+     'yaw is 2.5 times what stands here.'),
 )
 INAV_NOTES = (
     'Scales of INAV 2 to 8 (src/main/flight/pid.h, FP_PID_RATE_*_MULTIPLIER).', AT_THROTTLE,
@@ -133,7 +134,8 @@ def run(arguments: argparse.Namespace) -> int:
     rest = left_out(gains)
     way = [', '.join(f'{name} {value:.4g}'
                      for name, (value, _) in parameters(firmware, step, scale).items())
-           for step in _steps(gains, read_axes(arguments.gains)) if step != gains]
+           for step in _steps(gains, read_axes(arguments.gains), to_gains=True)
+           if step != gains]
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
@@ -250,11 +252,18 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
     return out
 
 
-def _steps(gains: Mapping[str, float],
-           axes: Mapping[str, Mapping[str, Any]]) -> list[dict[str, float]]:
-    """The sets of gains on the way to the design, each of which keeps its margins."""
+def _steps(gains: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], *,
+           to_gains: bool = False) -> list[dict[str, float]]:
+    """The sets of gains on the way to the design, each of which keeps its margins.
+
+    `to_gains`: without those beyond `gains`, which follow after another flight.
+    """
     ways = {axis: [one for one in tree.get('steps') or tree.get('gain_steps') or ()
                    if isinstance(one, Mapping)] for axis, tree in axes.items()}
+    for axis, way in ways.items() if to_gains else ():
+        own = {f'{axis}.{name}': gains.get(f'{axis}.{name}') for name in NEEDED}
+        ends = [k for k, step in enumerate(way, 1) if own.items() <= step.items()]
+        ways[axis] = way[:min(ends, default=len(way))]
     out: list[dict[str, float]] = []
     for k in range(max((len(way) for way in ways.values()), default=0)):
         here = dict(gains)

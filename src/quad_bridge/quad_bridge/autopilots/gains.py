@@ -278,6 +278,9 @@ class ParameterGains:
                 self._take_back(What.REVERTED, 'the disk does not take the confirmation')
         elif self._stored:
             self._go(State.WRITING)
+        elif any(self.values.get(name) != value for name, value in self._good.items()):
+            self._take_back(What.FAILED, 'the last good set cannot be kept on the disk, so the '
+                            'next step was not written')
         else:
             self._good = {}
             self._go(State.READY)
