@@ -89,6 +89,8 @@ def test_ardupilot_through_a_file(file, tmp_path, refused):
         ('{"schema": "x/1"}', [], 'design/1 or quad_sysid/report/1: found x/1; give the file of'),
         (design({'roll': {'gains': None}, 'pitch': 1}), [], 'holds none'),
         (roll(kp=0.1), ONES, 'lack angle.kp'),
+        (design({'roll': {'gains': GAINS, 'steps': 1.0}}), ONES,
+         'axes.roll.steps: must be a list of objects: found 1.0; design again'),
         ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
         ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
@@ -136,9 +138,11 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
     assert 'from 45 (+15)' in told
     assert 'set d_roll = 48' in told  # 38 / 0.8
     assert "the aircraft's low-passes together at 120 Hz: scale their cut-offs by 0.5" in told
-    path.write_text(design({'roll': {'gains': after, 'flown_gains': {'roll.rate.tpa_kp': 'x'}}}))
-    assert 'axes.roll.flown_gains.roll.rate.tpa_kp: must be a finite number' in refused(
-        main, 'export', path, '--to', 'betaflight')
+    for tpa, words in (('x', 'axes.roll.flown_gains.roll.rate.tpa_kp: must be a finite number'),
+                       (0.0, 'roll.rate.kp: must be 0 to 250 in the unit of the firmware')):
+        path.write_text(design({'roll': {'gains': after | of_angle, 'flown_gains': {
+            'roll.rate.tpa_kp': tpa, 'roll.rate.d_filter_hz': 0.0}}}))
+        assert words in refused(main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': {'roll.lqr.k_rate': 0.2}}}))
     assert 'holds no P, I, D' in refused(main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': after, 'steps': [before, near, after]},

@@ -241,7 +241,7 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             unit_si = unit * DEGREES / PIDSUM * (
                 YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]) else 1.0)
             unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
-            value, old = (round(known[name] / unit_si) if name in known else None
+            value, old = (round(known[name] / unit_si) if name in known and unit_si else None
                           for known in (gains, before))
             if value is None or not 0 <= value <= MOST:
                 raise BadInputError(name, f'must be 0 to {MOST} in the unit of the firmware',
@@ -258,11 +258,13 @@ def _steps(gains: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], *,
 
     `to_gains`: without those beyond `gains`, which follow after another flight.
     """
-    ways = {axis: [one for one in tree.get('steps') or tree.get('gain_steps') or ()
-                   if isinstance(one, Mapping)] for axis, tree in axes.items()}
-    for axis, way in ways.items() if to_gains else ():
-        own = {f'{axis}.{name}': gains.get(f'{axis}.{name}') for name in NEEDED}
-        ends = [k for k, step in enumerate(way, 1) if own.items() <= step.items()]
+    ways = {axis: tree.get('steps') or tree.get('gain_steps') or [] for axis, tree in axes.items()}
+    for axis, way in ways.items():
+        if not (isinstance(way, list) and all(isinstance(step, dict) for step in way)):
+            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(way), AGAIN)
+        own = [gains.get(f'{axis}.{name}') for name in NEEDED]
+        ends = [k for k, step in enumerate(way, 1) if to_gains
+                and [step.get(f'{axis}.{name}') for name in NEEDED] == own]
         ways[axis] = way[:min(ends, default=len(way))]
     out: list[dict[str, float]] = []
     for k in range(max((len(way) for way in ways.values()), default=0)):
@@ -281,7 +283,7 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
         designed, has = (known.get(f'{axis}.{D_FILTER}') for known in (gains, flown))
         if designed is None:
             continue
-        if has is None:
+        if not has:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order); '
                    'compare dterm_lpf*')
         elif abs(designed / has - 1.0) > DIFFERS:
