@@ -131,6 +131,19 @@ def test_where_nothing_keeps_the_margins_no_search_finds_any(model):
     assert pid.search(problem) == []
 
 
+@pytest.mark.parametrize(('damping', 'stiffness'), [(0.4, 1.0), (-0.5, 0.0), (0.4, -5.0)])
+def test_the_grid_knows_which_loops_are_stable_also_around_an_unstable_plant(
+        model, damping, stiffness):
+    m = model(damping=damping, effects=[estimate_of('pendulum_stiffness', (stiffness,))])
+    problem = pid.pose(loop_plant(m), ACTIVE, loops_of(m, count=3), Requirements())
+    points, ensemble = pid._grid(problem)[::80], problem.ensemble
+    poles = np.abs(np.linalg.eigvals(ensemble.cycle.a)) > pid.OUTSIDE
+    for row, gains in zip(problem.constants(points), problem.gains(points), strict=True):
+        loop, _ = pid._loops_of(row[None], ensemble.response, ensemble.omega)
+        unstable = pid._turns(loop[0], poles.sum(axis=1)) != 0
+        assert (unstable == ensemble.unstable(gains)).all()
+
+
 def test_a_search_that_stands_before_a_kink_ends_there():
     """Within 1e-3 of the corner (0.4, 0.45), after less than a quarter of 40 line searches."""
     points = []
