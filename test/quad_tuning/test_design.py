@@ -77,7 +77,8 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
                       for g in (CascadeGains.default(axis), *steps))
     assert min(lowest) > min(28.0, 0.8 * flown)
     if values == SLOW:
-        assert 0 < (k := proposal.steps.index(proposal.gains)) < len(proposal.steps) - 1
+        k = proposal.steps.index(proposal.gains)
+        assert 0 < k < len(proposal.steps) - 1
         promised = promise(loops, CascadeGains.default(axis), steps[k], m.value('lag'))
         assert said['rate_rms_ratio'] == pytest.approx(promised['rate_rms_ratio'])
     reference = square_wave(np.radians(12), 2.0, 4, 0.004)

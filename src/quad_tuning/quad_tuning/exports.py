@@ -261,7 +261,8 @@ def _steps(gains: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], *,
     ways = {axis: tree.get('steps') or tree.get('gain_steps') or [] for axis, tree in axes.items()}
     for axis, way in ways.items():
         if not (isinstance(way, list) and all(isinstance(step, dict) for step in way)):
-            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(way), AGAIN)
+            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(way),
+                                AGAIN)
         own = [gains.get(f'{axis}.{name}') for name in NEEDED]
         ends = [k for k, step in enumerate(way, 1) if to_gains
                 and [step.get(f'{axis}.{name}') for name in NEEDED] == own]

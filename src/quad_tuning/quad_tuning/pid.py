@@ -269,8 +269,8 @@ def _margin_reserve(problem: Problem, rows: npt.NDArray[np.void],
 def _turns(loop: ComplexArray, outside: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """(p,) turns of 1 + loop gain (p, f) about 0: not 0 where the closed loop is unstable.
 
-    Nyquist's criterion for plants with `outside` (p,) unstable poles, each of which turns the phase
-    by -180 degrees; without any it lies in -270..90 degrees at the lowest frequency.
+    Nyquist's criterion for plants with `outside` (p,) unstable poles, each of which turns the
+    phase by -180 degrees; without any it lies in -270..90 degrees at the lowest frequency.
     """
     phase = np.angle(1.0 + loop)
     change = np.diff(phase)
