@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from quad_sysid.autopilot_table import ARDUPILOT, AUTOPILOT
 from quad_sysid.axes import TURNING
@@ -26,7 +27,7 @@ from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
 from quad_tuning import bounds, pid
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import Requirements, meets, promise
+from quad_tuning.assess import Requirements, assess, meets, promise
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.way import way_to
@@ -189,6 +190,15 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
+
+
+def test_the_noise_in_the_command_is_that_of_a_gyro_behind_its_filter(model):
+    m, gains = model(), dataclasses.replace(ACTIVE, rate_kd=0.003, d_filter_hz=100.0)
+    noise = lfilter(*butter(2, 42.0, fs=250.0), np.random.default_rng(5).normal(size=40_000))
+    noise *= m.noise_rms / np.std(noise)
+    run = simulate_cascade(loop_plant(m), gains, np.zeros(noise.size), m.dt, noise=noise)
+    said = assess(loop_plant(m), gains, loops_of(m, count=1)).named(m.noise_rms)
+    assert said['motor_noise_rms'] == pytest.approx(np.std(run.control), rel=0.08)
 
 
 def with_gains(m, **values):
