@@ -310,6 +310,24 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
         line.ask(roll_rate_kp=kp)
 
 
+@pytest.mark.parametrize(('other', 'ours'), [
+    ('MC_ROLLRATE_K', 'roll.rate.kp'), ('MC_ROLLRATE_MAX', 'roll.angle.rate_limit')])
+def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other, ours):
+    line, p = flying('px4'), P['px4']
+    values, active, before = line.controller.parameters, line.updates.active[ours], {}
+    for trial in (False, True):
+        before[trial] = values[p]
+        if trial:
+            line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+            line.fly(3.0)
+        values[other] *= 2.0
+        line.hear(line.controller.pack(line.controller.value(other)))
+        line.fly(2.0)
+        assert line.updates.active[ours] == pytest.approx(active * (4.0 if trial else 2.0))
+    assert values[p] == before[True]
+    assert f'{other} was set to' in ' '.join(line.notes)
+
+
 def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     known = {'MC_ROLLRATE_K': 1.0}
     with pytest.raises(UnfitError, match=r'rate.kd: MC_ROLLRATE_D must lie in 0 .. 0.01: f'):

@@ -326,8 +326,8 @@ class ParameterGains:
         return f.ParamRequestRead([*self._whole][self._looked % len(self._whole)])
 
     def _changed(self, name: str, value: float) -> None:
-        """Somebody else has written it."""
-        if name not in self._table.written:
+        """Somebody else has written it: a gain, its multiplier, a limit or a filter."""
+        if name not in self._table.names:
             return
         if self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
             self._foreign += 1
