@@ -149,4 +149,8 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
                             'yaw': {'gains': yaw}}))
     inav = 'export', path, '--to', 'inav'
     assert 'set mc_p_roll = 60' in printed(main, *inav)  # 1/31 beside 0.032029
+    path.write_text(path.read_text().replace('"gains"', '"flown_gains": {"motors.range_us": 850}, '
+                                             '"gains"', 1))
+    assert 'set mc_p_roll = 51' in printed(main, *inav)  # of 850 µs for all of the range
+    assert 'set p_roll = 60' in printed(main, 'export', path, '--to', 'betaflight')
     assert '--scale: is not needed for inav' in refused(main, *inav, '--scale', 'roll=1')

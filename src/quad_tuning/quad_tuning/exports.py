@@ -30,6 +30,7 @@ from quad_sysid.imports.betaflight_gains import (
     INAV,
     INAV_LEVEL,
     PIDSUM,
+    RANGE_US,
     YAW_I,
 )
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
@@ -191,7 +192,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     """Lines of a command line: the steps of the design in turn, each to be flown."""
     if arguments.scale:
         raise BadInputError('--scale', f'is not needed for {arguments.to}', None,
-                            'its sum of 1000 is the whole range of the motors, as ours is 1')
+                            'how much of the range of the motors its P, I and D give is known')
     # the firmware's own range bounds them, see MOST
     gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
     flown = _flown(arguments.gains, axes)
@@ -238,7 +239,8 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             name = f'{axis}.{ours}'
             if name not in gains:
                 continue
-            unit_si = unit * DEGREES / PIDSUM * (
+            whole = flown.get(RANGE_US, PIDSUM) if unit in INAV else PIDSUM
+            unit_si = unit * DEGREES / (whole or PIDSUM) * (
                 YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]) else 1.0)
             unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
             value, old = (round(known[name] / unit_si) if name in known and unit_si else None

@@ -30,7 +30,9 @@ YAW_I, FIRST_STEEPER = 2.5, 4
 """Factor of Betaflight's I on the yaw axis, and the first version that has it."""
 VERSION = re.compile(r'betaflight (\d+)\.', re.IGNORECASE)
 PIDSUM = 1000.0
-"""Sum of P, I and D that is the whole range of the motors."""
+"""Sum of P, I and D that is the whole range of the motors; of INAV it is that range in µs."""
+RANGE_US = 'motors.range_us'
+"""That range of INAV's motors, beside the gains."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}
 """By the type of a filter (PT1, biquad, PT2, PT3), its delay times 2 pi times its cut-off."""
 ADJUSTED = {'betaflight': {6: 'roll pitch', 9: 'yaw', 15: 'pitch', 18: 'roll'},
@@ -97,6 +99,8 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
                    ('gyro_lpf2', 'gyro_lowpass2'), throttle)
     if delay > 0.0:
         gains['sensor.gyro_lowpass_delay_s'] = delay
+    if inav:
+        gains[RANGE_US] = motor_us
     condition = '' if throttle is None else f' at the usual throttle of {throttle:.2f}'
     how = f"{firmware}'s scales; TPA{condition}: P x {on_p:.3g}, D x {on_d:.3g}"
     how += f'; D filters as one of first order with their delay, {cutoff:.3g} Hz' if cutoff else ''
