@@ -153,4 +153,6 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
                                              '"gains"', 1))
     assert 'set mc_p_roll = 51' in printed(main, *inav)  # of 850 µs for all of the range
     assert 'set p_roll = 60' in printed(main, 'export', path, '--to', 'betaflight')
+    path.write_text(path.read_text().replace('motors.range_us": 850', 'yaw.rate.ki_factor": 1.0'))
+    assert 'set i_yaw = 200' in printed(main, 'export', path, '--to', 'betaflight')
     assert '--scale: is not needed for inav' in refused(main, *inav, '--scale', 'roll=1')

@@ -31,6 +31,7 @@ from quad_sysid.imports.betaflight_gains import (
     INAV_LEVEL,
     PIDSUM,
     RANGE_US,
+    YAW_FACTOR,
     YAW_I,
 )
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
@@ -76,8 +77,7 @@ BETAFLIGHT_NOTES = (
      'measured rate, as ours.'),
     AT_THROTTLE,
     ('Feed-forward, I-term relax, anti-gravity and RPM filters stay as they are. Before 2025.12 '
-     'set d_min_* to the same value as d_*, which is the largest D there; before 4.0 an I of '
-     'yaw is 2.5 times what stands here.'),
+     'set d_min_* to the same value as d_*, which is the largest D there.'),
 )
 INAV_NOTES = (
     'Scales of INAV 2 to 8 (src/main/flight/pid.h, FP_PID_RATE_*_MULTIPLIER).', AT_THROTTLE,
@@ -240,8 +240,9 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             if name not in gains:
                 continue
             whole = flown.get(RANGE_US, PIDSUM) if unit in INAV else PIDSUM
-            unit_si = unit * DEGREES / (whole or PIDSUM) * (
-                YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]) else 1.0)
+            unit_si = unit * DEGREES / (whole or PIDSUM)
+            if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
+                unit_si *= flown.get(YAW_FACTOR, YAW_I)
             unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
             value, old = (round(known[name] / unit_si) if name in known and unit_si else None
                           for known in (gains, before))

@@ -28,6 +28,8 @@ BETAFLIGHT_LEVEL, INAV_LEVEL = 0.1, 1 / 6.56
 """Angle gain, 1/s, per unit of P of the level mode."""
 YAW_I, FIRST_STEEPER = 2.5, 4
 """Factor of Betaflight's I on the yaw axis, and the first version that has it."""
+YAW_FACTOR = 'yaw.rate.ki_factor'
+"""That factor in a log, beside the gains."""
 VERSION = re.compile(r'betaflight (\d+)\.', re.IGNORECASE)
 PIDSUM = 1000.0
 """Sum of P, I and D that is the whole range of the motors; of INAV it is that range in µs."""
@@ -116,8 +118,10 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
     if len(least) > i and 0.0 < least[i] < d:
         d = least[i]  # D of a stick that rests; from 2025.12 on that is D itself
     of_p, of_i, of_d = INAV if inav else BETAFLIGHT
-    out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale * (
-        YAW_I if axis == 'yaw' and _steeper_yaw(header) else 1.0)}
+    out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale}
+    if axis == 'yaw' and not inav:
+        out['ki_factor'] = YAW_I if _steeper_yaw(header) else 1.0
+        out['ki'] *= out['ki_factor']
     forward = numbers(header, 'ff_weight') or numbers(header, 'feedforward_weight')
     if len(forward) > i:
         out['kff_slope'] = FEEDFORWARD * 0.01 * forward[i] * scale
