@@ -65,10 +65,11 @@ PX4_NOTES = (
     'MC_*RATE_K is set to 1, so that P, I and D are not multiplied by it.',
 )
 ARDUPILOT_NOTES = (
-    ('ArduPilot differentiates the error, ours the measured rate: the answer to a reference is '
-     'quicker there, that to a disturbance the same.'),
-    ('Its input shaping (ATC_ACCEL_*) and its filters of target and error (FLTT, FLTE) are not '
-     'part of our loop.'),
+    ('ArduPilot differentiates the error, as a design from its own flight does. One from our '
+     "firmware's has D on the measured rate: the answer to a reference is quicker here, that to a "
+     'disturbance the same.'),
+    ('The filters of target and error (FLTT, FLTE) are in a design from its own flight, with '
+     'their values, and in no other; its input shaping (ATC_ACCEL_*) is in none.'),
 )
 AT_THROTTLE = ('P and D stand for the throttle of the flight: divided by what TPA left of them '
                'there, where the log says so.')
