@@ -170,6 +170,19 @@ def test_gains_that_fly_badly_go_back_within_the_watch(flying):
     assert abs(line.controller.angles[0]) < 0.6
 
 
+@both
+def test_a_disk_that_fills_between_two_steps_ends_the_trial(flying, name):
+    line, p = flying(name), P[name]
+    before = line.controller.parameters[p]
+    line.ask(roll_rate_kp=2.4 * line.updates.active['roll.rate.kp'])
+    line.fly(1.0)
+    assert line.controller.parameters[p] > 1.9 * before
+    line.updates.protocol.keep = lambda _, done: done(False)
+    line.fly(6.0)
+    assert line.controller.parameters[p] == before
+    assert 'the next step was not written' in ' '.join(line.notes)
+
+
 @pytest.mark.parametrize('landed', [2, 4])
 def test_the_first_gains_after_the_connection_are_watched_also_while_it_lands(flying, landed):
     line, p = flying('px4'), P['px4']
@@ -295,6 +308,24 @@ def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
     assert line.controller.parameters[p] == other  # is left alone
     with pytest.raises(RefusedError, match='until the bridge is restarted'):
         line.ask(roll_rate_kp=kp)
+
+
+@pytest.mark.parametrize(('other', 'ours'), [
+    ('MC_ROLLRATE_K', 'roll.rate.kp'), ('MC_ROLLRATE_MAX', 'roll.angle.rate_limit')])
+def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other, ours):
+    line, p = flying('px4'), P['px4']
+    values, active, before = line.controller.parameters, line.updates.active[ours], {}
+    for trial in (False, True):
+        before[trial] = values[p]
+        if trial:
+            line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+            line.fly(3.0)
+        values[other] *= 2.0
+        line.hear(line.controller.pack(line.controller.value(other)))
+        line.fly(2.0)
+        assert line.updates.active[ours] == pytest.approx(active * (4.0 if trial else 2.0))
+    assert values[p] == before[True]
+    assert f'{other} was set to' in ' '.join(line.notes)
 
 
 def test_what_a_parameter_may_not_be_is_refused_in_one_line():

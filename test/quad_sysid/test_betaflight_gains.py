@@ -53,6 +53,7 @@ def test_inavs_numbers_are_a_part_of_the_motors_range():
 def test_yaws_i_is_steeper_from_betaflight_4_on_but_for_integrated_yaw(header, of_i):
     found = tuning({**BETAFLIGHT, **header}, 0.3).gains
     assert found['yaw.rate.ki'] == pytest.approx(of_i * 80 * 0.244381 * RAD)
+    assert found['yaw.rate.ki_factor'] == of_i
 
 
 def test_the_types_of_d_filters_have_older_names():

@@ -9,6 +9,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from quad_sysid.autopilot_table import ARDUPILOT, AUTOPILOT
 from quad_sysid.axes import TURNING
@@ -26,7 +27,7 @@ from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
 from quad_tuning import bounds, pid
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import Requirements, meets, promise
+from quad_tuning.assess import Requirements, assess, meets, promise
 from quad_tuning.designer import design
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.way import way_to
@@ -77,7 +78,10 @@ def test_a_design_tracks_better_and_keeps_margins_over_fresh_draws(model, axis, 
                       for g in (CascadeGains.default(axis), *steps))
     assert min(lowest) > min(28.0, 0.8 * flown)
     if values == SLOW:
-        assert 0 < proposal.steps.index(proposal.gains) < len(proposal.steps) - 1
+        k = proposal.steps.index(proposal.gains)
+        assert 0 < k < len(proposal.steps) - 1
+        promised = promise(loops, CascadeGains.default(axis), steps[k], m.value('lag'))
+        assert said['rate_rms_ratio'] == pytest.approx(promised['rate_rms_ratio'])
     reference = square_wave(np.radians(12), 2.0, 4, 0.004)
     runs = (simulate_cascade(loop_plant(m), g, reference, 0.004)
             for g in (CascadeGains.default(axis), gains))
@@ -129,6 +133,19 @@ def test_where_nothing_keeps_the_margins_no_search_finds_any(model):
     assert pid.search(problem) == []
 
 
+@pytest.mark.parametrize(('damping', 'stiffness'), [(0.4, 1.0), (-0.5, 0.0), (0.4, -5.0)])
+def test_the_grid_knows_which_loops_are_stable_also_around_an_unstable_plant(
+        model, damping, stiffness):
+    m = model(damping=damping, effects=[estimate_of('pendulum_stiffness', (stiffness,))])
+    problem = pid.pose(loop_plant(m), ACTIVE, loops_of(m, count=3), Requirements())
+    points, ensemble = pid._grid(problem)[::80], problem.ensemble
+    poles = np.abs(np.linalg.eigvals(ensemble.cycle.a)) > pid.OUTSIDE
+    for row, gains in zip(problem.constants(points), problem.gains(points), strict=True):
+        loop, _ = pid._loops_of(row[None], ensemble.response, ensemble.omega)
+        unstable = pid._turns(loop[0], poles.sum(axis=1)) != 0
+        assert (unstable == ensemble.unstable(gains)).all()
+
+
 def test_a_search_that_stands_before_a_kink_ends_there():
     """Within 1e-3 of the corner (0.4, 0.45), after less than a quarter of 40 line searches."""
     points = []
@@ -173,6 +190,15 @@ def test_the_promised_change_of_the_rate_is_that_of_the_simulation(model):
     assert said['peak'] == promise(loops, new, new, 0.043)['peak']
     same = promise(loops, ACTIVE, ACTIVE, 0.043)
     assert same['rate_rms_ratio'] == same['oscillation_ratio'] == 1.0
+
+
+def test_the_noise_in_the_command_is_that_of_a_gyro_behind_its_filter(model):
+    m, gains = model(), dataclasses.replace(ACTIVE, rate_kd=0.003, d_filter_hz=100.0)
+    noise = lfilter(*butter(2, 42.0, fs=250.0), np.random.default_rng(5).normal(size=40_000))
+    noise *= m.noise_rms / np.std(noise)
+    run = simulate_cascade(loop_plant(m), gains, np.zeros(noise.size), m.dt, noise=noise)
+    said = assess(loop_plant(m), gains, loops_of(m, count=1)).named(m.noise_rms)
+    assert said['motor_noise_rms'] == pytest.approx(np.std(run.control), rel=0.08)
 
 
 def with_gains(m, **values):

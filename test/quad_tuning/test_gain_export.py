@@ -54,7 +54,8 @@ def test_px4_gives_the_same_command_for_the_same_error(file, printed):
     file.write_text(file.read_text().replace('"yaw.rate.kd": 0', '"yaw.rate.kd": 0.001'))
     half = {name: 0.5 * value for name, value in GAINS.items() if name.startswith('roll')}
     tree = json.loads(file.read_text())
-    tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains']]
+    beyond = {name: 1.5 * value for name, value in half.items()}  # after another flight
+    tree['axes']['roll']['steps'] = [half, tree['axes']['roll']['gains'], beyond]
     file.write_text(json.dumps(tree))
     told = printed(main, 'export', file, '--to', 'px4', *UNITS)
     assert '# Step 1 of 2, set and fly it before the next: MC_ROLL_P 4.75, ' in told
@@ -88,6 +89,8 @@ def test_ardupilot_through_a_file(file, tmp_path, refused):
         ('{"schema": "x/1"}', [], 'design/1 or quad_sysid/report/1: found x/1; give the file of'),
         (design({'roll': {'gains': None}, 'pitch': 1}), [], 'holds none'),
         (roll(kp=0.1), ONES, 'lack angle.kp'),
+        (design({'roll': {'gains': GAINS, 'steps': 1.0}}), ONES,
+         'axes.roll.steps: must be a list of objects: found 1.0; design again'),
         ('', ['--scale', 'roll=1'], '--scale yaw: is missing'),
         ('', [*ONES, '--scale', 'pitch=0.3'], '--scale: names an axis without gains'),
     ],
@@ -135,13 +138,21 @@ def test_betaflight_gets_whole_numbers_step_by_step(tmp_path, printed, refused):
     assert 'from 45 (+15)' in told
     assert 'set d_roll = 48' in told  # 38 / 0.8
     assert "the aircraft's low-passes together at 120 Hz: scale their cut-offs by 0.5" in told
-    path.write_text(design({'roll': {'gains': after, 'flown_gains': {'roll.rate.tpa_kp': 'x'}}}))
-    assert 'axes.roll.flown_gains.roll.rate.tpa_kp: must be a finite number' in refused(
-        main, 'export', path, '--to', 'betaflight')
+    for tpa, words in (('x', 'axes.roll.flown_gains.roll.rate.tpa_kp: must be a finite number'),
+                       (0.0, 'roll.rate.kp: must be 0 to 250 in the unit of the firmware')):
+        path.write_text(design({'roll': {'gains': after | of_angle, 'flown_gains': {
+            'roll.rate.tpa_kp': tpa, 'roll.rate.d_filter_hz': 0.0}}}))
+        assert words in refused(main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': {'roll.lqr.k_rate': 0.2}}}))
     assert 'holds no P, I, D' in refused(main, 'export', path, '--to', 'betaflight')
     path.write_text(design({'roll': {'gains': after, 'steps': [before, near, after]},
                             'yaw': {'gains': yaw}}))
     inav = 'export', path, '--to', 'inav'
     assert 'set mc_p_roll = 60' in printed(main, *inav)  # 1/31 beside 0.032029
+    path.write_text(path.read_text().replace('"gains"', '"flown_gains": {"motors.range_us": 850}, '
+                                             '"gains"', 1))
+    assert 'set mc_p_roll = 51' in printed(main, *inav)  # of 850 µs for all of the range
+    assert 'set p_roll = 60' in printed(main, 'export', path, '--to', 'betaflight')
+    path.write_text(path.read_text().replace('motors.range_us": 850', 'yaw.rate.ki_factor": 1.0'))
+    assert 'set i_yaw = 200' in printed(main, 'export', path, '--to', 'betaflight')
     assert '--scale: is not needed for inav' in refused(main, *inav, '--scale', 'roll=1')

@@ -73,7 +73,7 @@ class LoopFigures:
     disturbance_rms_rad: float
     bandwidth_rad_s: float
     noise_gain: float
-    """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
+    """RMS of the control per RMS of the noise on the measured rate, 1/(rad/s)."""
     unstable_draws: int
     worst_peak_complementary: float
     """Largest |L / (1 + L)| over the ensemble."""
@@ -154,10 +154,10 @@ def disturbance(plant: Flying, controller: Flown) -> FloatArray:
 
 
 def noise_gain(controller: Controller, nominal: Ensemble) -> float:
-    """RMS of the control per RMS of white noise on the measured rate, 1/(rad/s)."""
+    """RMS of the control per RMS of the noise on the measured rate, 1/(rad/s)."""
     omega = nominal.omega
     response = noise_response(controller, nominal.response, omega, nominal.cycle.dt)[0]
-    total = trapezoid(np.abs(response) ** 2, omega)
+    total = trapezoid(nominal.noise * np.abs(response) ** 2, omega)
     return float(np.sqrt(total / (omega[-1] - omega[0])))
 
 

@@ -95,7 +95,7 @@ def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
     return GainProposal(
         gains={**by_contract(way.first, model.axis, known), **chosen},
         figures={**_figures(model, designed, known, loops.draws),
-                 **promise(loops, active, designed.gains, model.value('lag'))},
+                 **promise(loops, active, way.first, model.value('lag'))},
         left_out=not_in_the_loop(model),
         steps=with_schedule([by_contract(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.integrate import trapezoid
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.estimate.stored import estimate_of, library
@@ -37,6 +38,7 @@ from quad_sysid.loop.linear import ComplexArray, Loops, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.model.effect import ActingEffect, Effect, Part, Spec
+from quad_sysid.model.noise import sensor_of
 
 LEAST_PROBABILITY = 0.02
 """Probability below which a rival is ignored."""
@@ -146,6 +148,8 @@ class Ensemble:
     nominal: npt.NDArray[np.bool_]
     draws: int
     axis: str
+    noise: FloatArray
+    """(f,) power of the measured rate's noise, over its mean."""
 
     def loop(self, controller: Controller) -> ComplexArray:
         """(p, f) loop gain broken at the control."""
@@ -196,7 +200,18 @@ def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ens
     omega = frequency_grid(model.dt, loops=cycle)
     return Ensemble(cycle=cycle, omega=omega, response=cycle.response(omega),
                     nominal=np.arange(len(levels) * len(plants)) % len(plants) == 0, draws=count,
-                    axis=model.axis)
+                    axis=model.axis, noise=_noise_power(model, omega))
+
+
+def _noise_power(model: AxisModel, omega: FloatArray) -> FloatArray:
+    """As Ensemble.noise: white before the gyro filter; white behind it where it is not known."""
+    sensor = sensor_of(model.gyro_filter_hz, None, model.dt)
+    if model.noise is None or not sensor.noisy:
+        return np.ones_like(omega)
+    turns = np.exp(1j * omega * model.dt)[:, None, None] * np.eye(2)
+    states = np.linalg.solve(turns - sensor.step[:, :2], sensor.step[:, 2:].sum(axis=1)[:, None])
+    power = np.abs(states[:, 0, 0]) ** 2 + model.noise.ratios.get('after', 0.0) ** 2
+    return np.asarray(power * (omega[-1] - omega[0]) / trapezoid(power, omega))
 
 
 def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> Flying:

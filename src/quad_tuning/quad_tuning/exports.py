@@ -30,6 +30,8 @@ from quad_sysid.imports.betaflight_gains import (
     INAV,
     INAV_LEVEL,
     PIDSUM,
+    RANGE_US,
+    YAW_FACTOR,
     YAW_I,
 )
 from quad_tuning.gain_table import DEFAULT_BOUNDS, ROWS
@@ -63,10 +65,11 @@ PX4_NOTES = (
     'MC_*RATE_K is set to 1, so that P, I and D are not multiplied by it.',
 )
 ARDUPILOT_NOTES = (
-    ('ArduPilot differentiates the error, ours the measured rate: the answer to a reference is '
-     'quicker there, that to a disturbance the same.'),
-    ('Its input shaping (ATC_ACCEL_*) and its filters of target and error (FLTT, FLTE) are not '
-     'part of our loop.'),
+    ('ArduPilot differentiates the error, as a design from its own flight does. One from our '
+     "firmware's has D on the measured rate: the answer to a reference is quicker here, that to a "
+     'disturbance the same.'),
+    ('The filters of target and error (FLTT, FLTE) are in a design from its own flight, with '
+     'their values, and in no other; its input shaping (ATC_ACCEL_*) is in none.'),
 )
 AT_THROTTLE = ('P and D stand for the throttle of the flight: divided by what TPA left of them '
                'there, where the log says so.')
@@ -133,7 +136,8 @@ def run(arguments: argparse.Namespace) -> int:
     rest = left_out(gains)
     way = [', '.join(f'{name} {value:.4g}'
                      for name, (value, _) in parameters(firmware, step, scale).items())
-           for step in _steps(gains, read_axes(arguments.gains)) if step != gains]
+           for step in _steps(gains, read_axes(arguments.gains), to_gains=True)
+           if step != gains]
     content = (
         f'# Gains of {arguments.gains.name}, converted by quad-tune export\n'
         + ''.join(f'# {note}\n' for note in firmware.notes)
@@ -189,7 +193,7 @@ def _command_line(firmware: Firmware, arguments: argparse.Namespace) -> int:
     """Lines of a command line: the steps of the design in turn, each to be flown."""
     if arguments.scale:
         raise BadInputError('--scale', f'is not needed for {arguments.to}', None,
-                            'its sum of 1000 is the whole range of the motors, as ours is 1')
+                            'how much of the range of the motors its P, I and D give is known')
     # the firmware's own range bounds them, see MOST
     gains, axes = read_gains(arguments.gains, bounded=False), read_axes(arguments.gains)
     flown = _flown(arguments.gains, axes)
@@ -236,10 +240,12 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
             name = f'{axis}.{ours}'
             if name not in gains:
                 continue
-            unit_si = unit * DEGREES / PIDSUM * (
-                YAW_I if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]) else 1.0)
+            whole = flown.get(RANGE_US, PIDSUM) if unit in INAV else PIDSUM
+            unit_si = unit * DEGREES / (whole or PIDSUM)
+            if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
+                unit_si *= flown.get(YAW_FACTOR, YAW_I)
             unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
-            value, old = (round(known[name] / unit_si) if name in known else None
+            value, old = (round(known[name] / unit_si) if name in known and unit_si else None
                           for known in (gains, before))
             if value is None or not 0 <= value <= MOST:
                 raise BadInputError(name, f'must be 0 to {MOST} in the unit of the firmware',
@@ -250,11 +256,21 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
     return out
 
 
-def _steps(gains: Mapping[str, float],
-           axes: Mapping[str, Mapping[str, Any]]) -> list[dict[str, float]]:
-    """The sets of gains on the way to the design, each of which keeps its margins."""
-    ways = {axis: [one for one in tree.get('steps') or tree.get('gain_steps') or ()
-                   if isinstance(one, Mapping)] for axis, tree in axes.items()}
+def _steps(gains: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], *,
+           to_gains: bool = False) -> list[dict[str, float]]:
+    """The sets of gains on the way to the design, each of which keeps its margins.
+
+    `to_gains`: without those beyond `gains`, which follow after another flight.
+    """
+    ways = {axis: tree.get('steps') or tree.get('gain_steps') or [] for axis, tree in axes.items()}
+    for axis, way in ways.items():
+        if not (isinstance(way, list) and all(isinstance(step, dict) for step in way)):
+            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(way),
+                                AGAIN)
+        own = [gains.get(f'{axis}.{name}') for name in NEEDED]
+        ends = [k for k, step in enumerate(way, 1) if to_gains
+                and [step.get(f'{axis}.{name}') for name in NEEDED] == own]
+        ways[axis] = way[:min(ends, default=len(way))]
     out: list[dict[str, float]] = []
     for k in range(max((len(way) for way in ways.values()), default=0)):
         here = dict(gains)
@@ -272,7 +288,7 @@ def _filters(gains: Mapping[str, float], flown: Mapping[str, float]) -> Iterator
         designed, has = (known.get(f'{axis}.{D_FILTER}') for known in (gains, flown))
         if designed is None:
             continue
-        if has is None:
+        if not has:
             yield (f'Warning: the design filters D of {axis} at {designed:.3g} Hz (first order); '
                    'compare dterm_lpf*')
         elif abs(designed / has - 1.0) > DIFFERS:

@@ -154,7 +154,7 @@ def _set(entry: Mapping[str, Any], number: int) -> GainSet:
     gains = entry.get('gains')
     values = {str(name): float(value)
               for name, value in (gains.items() if isinstance(gains, dict) else ())
-              if isinstance(value, (int, float))}
+              if isinstance(value, (int, float)) and abs(value) <= sys.float_info.max}
     keys = ('source', 'model', 'bag', 'update', 'reason')
     texts = {key: str(entry.get(key, '')) for key in keys}
     outcome = 'in flight' if texts['update'] else 'found'

@@ -76,6 +76,8 @@ WORST = 6
 ROUNDS = 6
 INFEASIBLE = 0.005
 """Relative violation after a search from which no further round is tried."""
+OUTSIDE = 1.0 + 1e-6
+"""Absolute value of a plant's pole from which it is unstable; integrals are at 1."""
 CHUNK = 256  # sets of gains whose margins are computed at once, which bounds the memory
 
 
@@ -258,20 +260,23 @@ def _margin_reserve(problem: Problem, rows: npt.NDArray[np.void],
                    m.gain_margin_db / needs.gain_margin_db) - 1.0,
         1.0 - m.peak_sensitivity / needs.peak_sensitivity,
     )
-    reserve = np.where(_turns(loop.reshape(g * p, f)) == 0, np.clip(reserve, -2.0, 0.0), -2.0)
+    poles = np.abs(np.linalg.eigvals(loops.cycle.a))
+    turns = _turns(loop.reshape(g * p, f), np.tile(np.sum(poles > OUTSIDE, axis=1), g))
+    reserve = np.where(turns == 0, np.clip(reserve, -2.0, 0.0), -2.0)
     return np.asarray(np.min(reserve.reshape(g, p), axis=1))
 
 
-def _turns(loop: ComplexArray) -> npt.NDArray[np.int64]:
-    """(p,) encirclements of -1 by the loop gain (p, f): not 0 where the closed loop is unstable.
+def _turns(loop: ComplexArray, outside: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """(p,) turns of 1 + loop gain (p, f) about 0: not 0 where the closed loop is unstable.
 
-    Nyquist's criterion for a plant without unstable poles whose phase at the lowest frequency lies
-    in -270..90 degrees.
+    Nyquist's criterion for plants with `outside` (p,) unstable poles, each of which turns the
+    phase by -180 degrees; without any it lies in -270..90 degrees at the lowest frequency.
     """
     phase = np.angle(1.0 + loop)
     change = np.diff(phase)
     turned = np.sum(change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi)), axis=1)
-    start = np.mod(phase[:, 0] + 1.5 * np.pi, 2.0 * np.pi) - 1.5 * np.pi
+    least = -np.pi * (1.5 + outside)
+    start = np.mod(phase[:, 0] - least, 2.0 * np.pi) + least
     return np.asarray(np.rint((start + turned) / (2.0 * np.pi)), dtype=np.int64)
 
 

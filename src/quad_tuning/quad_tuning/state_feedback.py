@@ -69,7 +69,7 @@ class StateFeedback:
         try:
             check_bounds(gains)
         except DesignRefusedError as refusal:
-            raise DesignRefusedError(f'{refusal}; choose other weights (--max-...)') from refusal
+            raise DesignRefusedError(f'{refusal}; take the cascade (--method pid)') from refusal
         return {**gains, f'{axis}.lqr.share': 1.0}
 
     def command(self, x: FloatArray, rate: float, error: float) -> tuple[float, FloatArray]:

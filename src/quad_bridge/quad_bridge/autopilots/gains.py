@@ -278,6 +278,9 @@ class ParameterGains:
                 self._take_back(What.REVERTED, 'the disk does not take the confirmation')
         elif self._stored:
             self._go(State.WRITING)
+        elif any(self.values.get(name) != value for name, value in self._good.items()):
+            self._take_back(What.FAILED, 'the last good set cannot be kept on the disk, so the '
+                            'next step was not written')
         else:
             self._good = {}
             self._go(State.READY)
@@ -323,8 +326,8 @@ class ParameterGains:
         return f.ParamRequestRead([*self._whole][self._looked % len(self._whole)])
 
     def _changed(self, name: str, value: float) -> None:
-        """Somebody else has written it."""
-        if name not in self._table.written:
+        """Somebody else has written it: a gain, its multiplier, a limit or a filter."""
+        if name not in self._table.names:
             return
         if self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
             self._foreign += 1

@@ -28,9 +28,13 @@ BETAFLIGHT_LEVEL, INAV_LEVEL = 0.1, 1 / 6.56
 """Angle gain, 1/s, per unit of P of the level mode."""
 YAW_I, FIRST_STEEPER = 2.5, 4
 """Factor of Betaflight's I on the yaw axis, and the first version that has it."""
+YAW_FACTOR = 'yaw.rate.ki_factor'
+"""That factor in a log, beside the gains."""
 VERSION = re.compile(r'betaflight (\d+)\.', re.IGNORECASE)
 PIDSUM = 1000.0
-"""Sum of P, I and D that is the whole range of the motors."""
+"""Sum of P, I and D that is the whole range of the motors; of INAV it is that range in µs."""
+RANGE_US = 'motors.range_us'
+"""That range of INAV's motors, beside the gains."""
 DELAYS = {0: 1.0, 1: math.sqrt(2.0), 2: 2 / 1.553773974, 3: 3 / 1.961459177}
 """By the type of a filter (PT1, biquad, PT2, PT3), its delay times 2 pi times its cut-off."""
 ADJUSTED = {'betaflight': {6: 'roll pitch', 9: 'yaw', 15: 'pitch', 18: 'roll'},
@@ -97,6 +101,8 @@ def tuning(header: Mapping[str, str], throttle: float | None, motor_us: float = 
                    ('gyro_lpf2', 'gyro_lowpass2'), throttle)
     if delay > 0.0:
         gains['sensor.gyro_lowpass_delay_s'] = delay
+    if inav:
+        gains[RANGE_US] = motor_us
     condition = '' if throttle is None else f' at the usual throttle of {throttle:.2f}'
     how = f"{firmware}'s scales; TPA{condition}: P x {on_p:.3g}, D x {on_d:.3g}"
     how += f'; D filters as one of first order with their delay, {cutoff:.3g} Hz' if cutoff else ''
@@ -112,8 +118,10 @@ def _of_axis(header: Mapping[str, str], axis: str, scale: float, *,
     if len(least) > i and 0.0 < least[i] < d:
         d = least[i]  # D of a stick that rests; from 2025.12 on that is D itself
     of_p, of_i, of_d = INAV if inav else BETAFLIGHT
-    out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale * (
-        YAW_I if axis == 'yaw' and _steeper_yaw(header) else 1.0)}
+    out = {'kp': of_p * p * scale, 'kd': of_d * d * scale, 'ki': of_i * integral * scale}
+    if axis == 'yaw' and not inav:
+        out['ki_factor'] = YAW_I if _steeper_yaw(header) else 1.0
+        out['ki'] *= out['ki_factor']
     forward = numbers(header, 'ff_weight') or numbers(header, 'feedforward_weight')
     if len(forward) > i:
         out['kff_slope'] = FEEDFORWARD * 0.01 * forward[i] * scale

@@ -99,6 +99,10 @@ def _inside(model: AxisModel) -> list[ActingEffect]:
     return [acting for acting, why in (_outside(model, e) for e in model.effects) if not why]
 
 
+CYCLES_HZ = 20.0, 1000.0
+"""Control cycles per second at which a firmware may close the loop of the climb."""
+
+
 def in_flight(model: AxisModel) -> AxisModel:
     """The model in the loop of the firmware: at its cycle, behind the sensor that it has.
 
@@ -108,7 +112,11 @@ def in_flight(model: AxisModel) -> AxisModel:
     gains, axis = model.active_gains, EVERY[model.axis]
     if axis.turns or axis.outer or 'loop.rate_hz' not in gains:
         return model
-    return replace(model, dt=1.0 / gains['loop.rate_hz'], noise=None,
+    rate_hz, (low, high) = gains['loop.rate_hz'], CYCLES_HZ
+    if not low <= rate_hz <= high:
+        raise BadInputError(f'{model.axis}: loop.rate_hz', f'must be {low:g} to {high:g}', rate_hz,
+                            'record /gains/active of the aircraft')
+    return replace(model, dt=1.0 / rate_hz, noise=None,
                    gyro_filter_hz=gains.get('sensor.accel_filter_hz') or None)
 
 
