@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 from scipy.spatial.transform import Rotation
 
 from quad_bridge.log.writer import BagWriter, Limits
@@ -105,6 +105,16 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     np.testing.assert_allclose(got.battery_v[:975], want.battery_v[:975], atol=1e-5)
     assert (got.segments, got.gains) == (want.segments, want.gains)
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
+
+
+def test_a_full_disk_leaves_no_bag_and_is_told_in_one_line(tmp_path, monkeypatch, refusal):
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(Writer, 'write', full)
+    line = refusal(write_bag, make_record(), tmp_path / 'bag')
+    assert 'cannot be written: found No space left on device' in line
+    assert list(tmp_path.iterdir()) == []
 
 
 def wild(stamps):
@@ -295,6 +305,9 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
         np.testing.assert_array_equal(got.rates, want.rates[: got.n])
         assert 'cut off' in ' '.join(got.warnings)
     assert previous > 0.6 * want.n
+    end = whole.rindex(b'\x0f\x04' + bytes(7))  # of the data: the last chunk goes, its end stays
+    cut.write_bytes(whole[: end - 20_000] + whole[end:])
+    assert 'bytes are damaged' in ' '.join(read_bag(cut).warnings)
 
 
 def test_strange_segments_count_as_idle(tmp_path):

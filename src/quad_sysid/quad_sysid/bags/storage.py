@@ -181,6 +181,9 @@ class Storage:
                                  '`ros2 run quad_bridge recover` rebuilds the bag')
         elif scan.bad_chunks:
             self.warnings.append(f'{source}: {scan.bad_chunks} damaged chunks: read the rest')
+        elif scan.unread and scan.stated is None:  # no statistics count what was in them
+            self.warnings.append(f'{source}: {scan.unread} bytes are damaged: read the rest; '
+                                 f'{RECOVER}')
         if scan.unnamed:
             self.warnings.append(f'{source}: {scan.unnamed} messages have lost their topic')
         if scan.stated is not None and scan.lost:
