@@ -215,6 +215,13 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
 
 
+def test_no_voltage_is_invented_long_before_or_behind_its_messages(tmp_path):
+    stamps = regular(2500)
+    battery = Stamped(stamps[1000:1251:25], np.full((11, 1), 11.1))
+    got = read_bag(write_imu(tmp_path / 'bag', stamps, **{'/battery': battery}))
+    assert np.flatnonzero(np.isfinite(got.battery_v)).tolist() == list(range(500, 1751))
+
+
 @pytest.mark.parametrize('frame', ['body', 'world', 'none'])
 def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, frame):
     """REP-105 has it in the body's; where it is not, or not filled in, the positions say so."""
