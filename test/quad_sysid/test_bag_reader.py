@@ -362,8 +362,10 @@ def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_pa
     file.write_text(file.read_text().replace('- second.mcap', '- second.mcap\n  - more.mcap'))
     assert 'more.mcap' in ' '.join(read_bag(second).warnings)
     file.unlink()
+    (second / 'second.mcap.zstd').write_bytes(b'\x28\xb5\x2f\xfd')  # killed as it compressed
     assert (got := read_bag(second)).n == N
     assert 'metadata.yaml is missing' in got.warnings[0]
+    assert len(got.warnings) == 1
 
 
 def test_each_file_of_a_split_bag_holds_what_is_in_force(tmp_path):

@@ -103,7 +103,8 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes of all files so far, with the open chunk."""
-        return sum(entry.size for entry in self._closed) + self._file.size
+        still_open = 0 if self._file_closed else self._file.size
+        return sum(entry.size for entry in self._closed) + still_open
 
     def add_topic(
         self,

@@ -240,8 +240,14 @@ class Storage:
 
 
 def storage_in(folder: Path) -> list[Path]:
-    """The storage files of a folder, the parts of a split bag in their order."""
-    return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGE)),
+    """The storage files of a folder, the parts of a split bag in their order.
+
+    A compressed one beside its own content does not count: its recorder was killed meanwhile.
+    """
+    names = {p.name for p in folder.iterdir()}
+    return sorted((folder / name for name in names if name.endswith(STORAGE)
+                   and (not name.endswith(stored.PACKED)
+                        or name.removesuffix(stored.PACKED) not in names)),
                   key=lambda p: (len(p.name), p.name))
 
 
