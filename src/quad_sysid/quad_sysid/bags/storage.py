@@ -198,10 +198,11 @@ class Storage:
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
             raise BadInputError(str(source), what, remedy=stored.sqlite_remedy(source))
-        strange = 0
         try:
             with closing(sqlite3.connect(stored.address(plain), uri=True)) as base:
-                topics = base.execute('SELECT id, name, type FROM topics').fetchall()
+                (strange,) = base.execute(stored.ORPHANS).fetchone()
+                topics = base.execute(
+                    'SELECT id, CAST(name AS TEXT), CAST(type AS TEXT) FROM topics').fetchall()
                 mine = {i: name for i, name, kind in topics if self._wanted(name, kind)}
                 count = 'SELECT count(*) FROM messages WHERE topic_id = ?'
                 foreign.update({
