@@ -21,7 +21,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quad_bridge.errors import BadInputError
@@ -405,6 +405,19 @@ def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storag
         assert reader.deserialize(raw, connection.msgtype).a == own.a
     wanted = [('/a', kinds[k % 3 == 0], 1000 + k) for k in range(30)]
     assert [(c.topic, c.msgtype, time_ns) for c, time_ns, _ in got] == wanted
+
+
+def test_messages_whose_definition_is_missing_are_copied_as_they_are(tmp_path):
+    file = tmp_path / 'bag' / 'bag.db3'
+    fill(theirs(file.parent, 'SQLITE3'))
+    with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as base:
+        base.execute('DELETE FROM message_definitions')  # Humble's bags have none
+        base.execute("UPDATE topics SET type = 'mine/msg/Foo'")
+    result = recover(file.parent, tmp_path / 'copy')
+    assert (result.messages, result.sound) == (400, True)
+    with Reader(result.path) as reader:
+        (connection,) = reader.connections
+    assert (connection.msgtype, connection.msgdef.data) == ('mine/msg/Foo', '')
 
 
 @each_storage

@@ -190,7 +190,7 @@ def _sqlite_messages(plain: Path, file: Path) -> Iterator[Message]:
         with Reader(plain) as reader:
             for c in reader.connections:
                 qos = yaml.safe_dump(dump_qos_v9(list(c.ext.offered_qos_profiles)))  # type: ignore[union-attr]
-                topics[c.id] = Topic(str(c.topic), c.msgtype, c.msgdef.data, qos, c.digest)
+                topics[c.id] = Topic(str(c.topic), str(c.msgtype), c.msgdef.data, qos, c.digest)
             for c, time_ns, data in reader.messages():
                 whole = isinstance(data, bytes) and isinstance(time_ns, int) and time_ns >= 0
                 yield Message(topics[c.id], time_ns, data) if whole else _DAMAGED

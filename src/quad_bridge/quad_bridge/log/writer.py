@@ -50,6 +50,7 @@ class Definition:
     """Definition of a message type from a bag that is copied."""
 
     text: str
+    """Empty where that bag has none, as sqlite3 bags of ROS 2 Humble."""
     digest: str
     """RIHS01 hash; empty where unknown."""
 
@@ -119,7 +120,7 @@ class BagWriter:
 
         `kind` such as `sensor_msgs/msg/Imu`. A topic's second type, in a bag that is copied, is
         declared under another `topic` with the `name` of the first. Raises BadInputError for a
-        type that is neither standard in Jazzy nor in `definition`.
+        type that is not standard in Jazzy, without a `definition`.
         """
         if topic in self._topics:
             return
@@ -127,7 +128,7 @@ class BagWriter:
             text, _ = self._store.generate_msgdef(kind, ros_version=2)
             digest = self._store.hash_rihs01(kind)
         except (TypesysError, KeyError) as error:
-            if definition is None or not definition.text:
+            if definition is None:
                 where = f'{self.path}: {topic}'
                 raise BadInputError(where, 'message type is not a standard one', kind) from error
             text, digest = definition.text, self._hash(kind, definition)
@@ -137,11 +138,14 @@ class BagWriter:
 
     def _hash(self, kind: str, definition: Definition) -> str:
         """RIHS01 hash of a type that is not standard; the definition's where it is unknown."""
+        unknown = definition.digest or 'RIHS01_' + '0' * 64
+        if not definition.text:
+            return unknown
         try:
             self._store.register(get_types_from_msg(definition.text, kind))
             return self._store.hash_rihs01(kind)
         except Exception:  # noqa: BLE001  (whatever a damaged text makes the parser raise)
-            return definition.digest or 'RIHS01_' + '0' * 64
+            return unknown
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one serialised message with its receive time, ns."""
