@@ -6,6 +6,7 @@ writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -172,7 +173,10 @@ class BagWriter:
             self._close_file()
         text = information(list(self._topics.values()), self._closed)
         part = self.path / 'metadata.yaml.part'
-        part.write_text(yaml_text({'rosbag2_bagfile_information': text}), encoding='utf-8')
+        with part.open('w', encoding='utf-8') as file:
+            file.write(yaml_text({'rosbag2_bagfile_information': text}))
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut could leave the name of an empty file
         part.replace(self.path / 'metadata.yaml')
         sync_folder(self.path)
 
