@@ -16,6 +16,7 @@ from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags import BagOptions, read_bag, split_segments, write_bag, write_streams
 from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import Event
+from quad_sysid.bags.odometry import moving
 from quad_sysid.bags.stamps import uniform_grid
 from quad_sysid.contract import TOPIC_TYPES, control_from_motors, motors_from_wrench
 from quad_sysid.craft import LAYOUTS
@@ -235,6 +236,22 @@ def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, f
     odom = Stamped(regular(), np.hstack([place, body.as_quat(), twist]))
     got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/odom': odom}))
     np.testing.assert_allclose(got.velocity, level, atol=0.02)
+
+
+def test_where_the_barometer_is_silent_no_vertical_speed_is_known():
+    time, swing = 0.004 * np.arange(15_000), 0.1 * np.pi
+    speed, height = 2.0 * np.sin(swing * time), 2.0 / swing * (1.0 - np.cos(swing * time))
+    force = np.column_stack([0 * time, 0 * time, 9.80665 + 2.0 * swing * np.cos(swing * time)])
+    pressure = 101_325.0 * (1.0 - height / 44_330.77) ** 5.25588  # standard atmosphere
+    silent = (time > 30.0) & (time < 35.0)
+    rows = np.flatnonzero(~silent)[::5]
+    baro = Stamped(regular(time.size)[rows], pressure[rows, None])
+    grid = uniform_grid(regular(time.size), 'bag')
+    got = moving({'/baro': baro}, grid, np.zeros_like(force), force, []).velocity[:, 2]
+    assert np.isnan(got[silent]).all()
+    known = np.isfinite(got)
+    assert known.sum() > 0.98 * np.count_nonzero(~silent)
+    assert np.abs(got - speed)[known & (time > 10.0) & (time < 50.0)].max() < 0.1
 
 
 def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
