@@ -67,6 +67,19 @@ def test_one_who_cannot_be_reached_keeps_nothing_from_the_others(free, peer, ope
     assert peer.recv(100) == b'answer'
 
 
+def test_many_who_speak_keep_no_answer_from_one_who_goes_on(free, peer, opened):
+    port, heard = opened(f'udpin://127.0.0.1:{free}')
+    for k in range(20):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.sendto(b'.', ('127.0.0.1', free))
+        until(lambda k=k: len(heard) == k + 1)
+    peer.sendto(b'one', ('127.0.0.1', free))
+    until(lambda: heard.endswith(b'one'))
+    assert port.write(b'answer')
+    assert peer.recv(100) == b'answer'
+    assert len(port._port._peers) <= 8
+
+
 @pytest.mark.parametrize('scheme', ['udp', 'udpout'])
 def test_who_listens_already_is_spoken_to(scheme, peer, opened):
     number = peer.getsockname()[1]

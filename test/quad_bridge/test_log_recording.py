@@ -124,7 +124,20 @@ def test_a_write_that_fails_costs_only_what_no_later_one_can_store(
     monkeypatch.undo()
     assert os.strerror(fault.number) in status.failure
     assert (status.written, status.dropped) == (kept, 200 - kept)
+    assert kept < 200 or status.size == file.stat().st_size
     assert numbers_in(recover(bag).path if kept < 200 else bag) == list(range(kept))
+
+
+def test_a_bag_is_not_called_whole_after_a_sync_that_failed(bag, monkeypatch):
+    def fail_once(_):
+        monkeypatch.setattr(mcap.os, 'fdatasync', lambda _: None)  # as Linux: it says so once
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(mcap.os, 'fdatasync', fail_once)
+    recording = started(bag)
+    put(recording, range(100))
+    until(lambda: 'recover` says what of it the disk has kept' in recording.status.failure)
+    assert 'whole up to here' not in recording.stop().failure
 
 
 def split(bag, limits, *, back_s=0, described=0):

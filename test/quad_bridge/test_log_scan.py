@@ -3,8 +3,10 @@
 import contextlib
 import os
 import random
+import shutil
 import sqlite3
 import struct
+import subprocess
 from collections import Counter
 from datetime import datetime, timezone
 
@@ -19,7 +21,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quad_bridge.errors import BadInputError
@@ -328,15 +330,15 @@ def leaf_zeroed(file):
 
 
 @pytest.mark.parametrize(
-    ('damage', 'words'),
+    ('damage', 'words', 'least'),
     [
-        (unfinished, 'its last transaction was not finished'), (leaf_zeroed, 'Page'),
-        (lambda file: os.truncate(file, file.stat().st_size - 1000), 'its last page is torn'),
-        (lambda file: os.truncate(file, 4096 * 5), 'malformed'),
-        (lambda file: file.write_bytes(flipped(file.read_bytes(), 100, 0x80)), 'malformed')],
+        (unfinished, 'its last transaction was not finished', 400), (leaf_zeroed, 'Page', 350),
+        (lambda file: os.truncate(file, file.stat().st_size - 1000), 'its last page is torn', 0),
+        (lambda file: os.truncate(file, 4096 * 5), 'malformed', 0),
+        (lambda file: file.write_bytes(flipped(file.read_bytes(), 100, 0x80)), 'malformed', 0)],
 )
 def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
-    tmp_path, damage, words
+    tmp_path, damage, words, least
 ):
     file = tmp_path / 'bag' / 'bag.db3'
     fill(theirs(file.parent, 'SQLITE3'))
@@ -348,8 +350,23 @@ def test_a_damaged_sqlite3_file_is_answered_with_the_command_that_recovers_it(
             use()
         assert f'{file}: is a damaged sqlite3 file (' in str(caught.value)
         assert words in str(caught.value)
-        assert f'`sqlite3 {file} .recover | sqlite3 bag_recovered.db3`' in str(caught.value)
+        command = str(caught.value).split('`')[1]
+        assert command.startswith(f'sqlite3 {file} .dump | ')
+        assert command.endswith(' | sqlite3 bag_recovered.db3')
     assert before == {p.name: p.read_bytes() for p in tmp_path.rglob('*') if p.is_file()}
+    if shutil.which('sqlite3') and least:
+        subprocess.run(['sh', '-c', command], cwd=tmp_path, check=True)
+        assert recover(tmp_path / 'bag_recovered.db3').messages >= least
+
+
+@pytest.mark.parametrize('wrong', ["timestamp = 'x'", 'timestamp = -5', 'topic_id = 9'])
+def test_a_row_that_is_no_message_is_counted(tmp_path, wrong):
+    file = tmp_path / 'bag' / 'bag.db3'
+    fill(theirs(file.parent, 'SQLITE3'))
+    with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as base:
+        base.execute(f'UPDATE messages SET {wrong} WHERE id = 7')  # noqa: S608
+    result = recover(file.parent)
+    assert (result.messages, result.undecodable, result.sound) == (399, 1, False)
 
 
 def test_what_the_files_cannot_tell_metadata_does(tmp_path):
@@ -388,6 +405,19 @@ def test_a_bag_without_metadata_is_recovered_with_all_its_types(tmp_path, storag
         assert reader.deserialize(raw, connection.msgtype).a == own.a
     wanted = [('/a', kinds[k % 3 == 0], 1000 + k) for k in range(30)]
     assert [(c.topic, c.msgtype, time_ns) for c, time_ns, _ in got] == wanted
+
+
+def test_messages_whose_definition_is_missing_are_copied_as_they_are(tmp_path):
+    file = tmp_path / 'bag' / 'bag.db3'
+    fill(theirs(file.parent, 'SQLITE3'))
+    with contextlib.closing(sqlite3.connect(file, isolation_level=None)) as base:
+        base.execute('DELETE FROM message_definitions')  # Humble's bags have none
+        base.execute("UPDATE topics SET type = 'mine/msg/Foo'")
+    result = recover(file.parent, tmp_path / 'copy')
+    assert (result.messages, result.sound) == (400, True)
+    with Reader(result.path) as reader:
+        (connection,) = reader.connections
+    assert (connection.msgtype, connection.msgdef.data) == ('mine/msg/Foo', '')
 
 
 @each_storage

@@ -9,13 +9,14 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 from scipy.spatial.transform import Rotation
 
 from quad_bridge.log.writer import BagWriter, Limits
 from quad_sysid.bags import BagOptions, read_bag, split_segments, write_bag, write_streams
 from quad_sysid.bags.cdr import Stamped
 from quad_sysid.bags.events import Event
+from quad_sysid.bags.odometry import moving
 from quad_sysid.bags.stamps import uniform_grid
 from quad_sysid.contract import TOPIC_TYPES, control_from_motors, motors_from_wrench
 from quad_sysid.craft import LAYOUTS
@@ -105,6 +106,16 @@ def test_a_record_survives_every_storage(tmp_path, storage, compression):
     np.testing.assert_allclose(got.battery_v[:975], want.battery_v[:975], atol=1e-5)
     assert (got.segments, got.gains) == (want.segments, want.gains)
     assert got.gains_at(2.5) == {'roll.angle.kp': 3.0, 'roll.rate.kp': 0.09}
+
+
+def test_a_full_disk_leaves_no_bag_and_is_told_in_one_line(tmp_path, monkeypatch, refusal):
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(Writer, 'write', full)
+    line = refusal(write_bag, make_record(), tmp_path / 'bag')
+    assert 'cannot be written: found No space left on device' in line
+    assert list(tmp_path.iterdir()) == []
 
 
 def wild(stamps):
@@ -205,6 +216,13 @@ def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     assert ('/battery' in got.missing) is ('/battery' in ' '.join(got.warnings)) is not there
 
 
+def test_no_voltage_is_invented_long_before_or_behind_its_messages(tmp_path):
+    stamps = regular(2500)
+    battery = Stamped(stamps[1000:1251:25], np.full((11, 1), 11.1))
+    got = read_bag(write_imu(tmp_path / 'bag', stamps, **{'/battery': battery}))
+    assert np.flatnonzero(np.isfinite(got.battery_v)).tolist() == list(range(500, 1751))
+
+
 @pytest.mark.parametrize('frame', ['body', 'world', 'none'])
 def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, frame):
     """REP-105 has it in the body's; where it is not, or not filled in, the positions say so."""
@@ -218,6 +236,22 @@ def test_speeds_are_along_the_heading_whatever_frame_the_twist_is_in(tmp_path, f
     odom = Stamped(regular(), np.hstack([place, body.as_quat(), twist]))
     got = read_bag(write_imu(tmp_path / 'bag', regular(), **{'/odom': odom}))
     np.testing.assert_allclose(got.velocity, level, atol=0.02)
+
+
+def test_where_the_barometer_is_silent_no_vertical_speed_is_known():
+    time, swing = 0.004 * np.arange(15_000), 0.1 * np.pi
+    speed, height = 2.0 * np.sin(swing * time), 2.0 / swing * (1.0 - np.cos(swing * time))
+    force = np.column_stack([0 * time, 0 * time, 9.80665 + 2.0 * swing * np.cos(swing * time)])
+    pressure = 101_325.0 * (1.0 - height / 44_330.77) ** 5.25588  # standard atmosphere
+    silent = (time > 30.0) & (time < 35.0)
+    rows = np.flatnonzero(~silent)[::5]
+    baro = Stamped(regular(time.size)[rows], pressure[rows, None])
+    grid = uniform_grid(regular(time.size), 'bag')
+    got = moving({'/baro': baro}, grid, np.zeros_like(force), force, []).velocity[:, 2]
+    assert np.isnan(got[silent]).all()
+    known = np.isfinite(got)
+    assert known.sum() > 0.98 * np.count_nonzero(~silent)
+    assert np.abs(got - speed)[known & (time > 10.0) & (time < 50.0)].max() < 0.1
 
 
 def test_any_cut_or_noise_gives_a_record_or_one_line(tmp_path):
@@ -295,6 +329,9 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
         np.testing.assert_array_equal(got.rates, want.rates[: got.n])
         assert 'cut off' in ' '.join(got.warnings)
     assert previous > 0.6 * want.n
+    end = whole.rindex(b'\x0f\x04' + bytes(7))  # of the data: the last chunk goes, its end stays
+    cut.write_bytes(whole[: end - 20_000] + whole[end:])
+    assert 'bytes are damaged' in ' '.join(read_bag(cut).warnings)
 
 
 def test_strange_segments_count_as_idle(tmp_path):
@@ -342,8 +379,10 @@ def test_metadata_that_is_missing_or_lists_too_much_or_too_little_is_told(tmp_pa
     file.write_text(file.read_text().replace('- second.mcap', '- second.mcap\n  - more.mcap'))
     assert 'more.mcap' in ' '.join(read_bag(second).warnings)
     file.unlink()
+    (second / 'second.mcap.zstd').write_bytes(b'\x28\xb5\x2f\xfd')  # killed as it compressed
     assert (got := read_bag(second)).n == N
     assert 'metadata.yaml is missing' in got.warnings[0]
+    assert len(got.warnings) == 1
 
 
 def test_each_file_of_a_split_bag_holds_what_is_in_force(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from node_process import PROGRAMS, Started, node_command, program
 from probe import entries, event
 
-INT, TERM = signal.SIGINT, signal.SIGTERM
+INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 NODES = {*PROGRAMS} - {'virtual_stm32', 'main'}
 ONE_OF_EACH = ('serial_bridge', 'excitation', 'virtual_stm32')
 """The nodes of a package begin by the same lines."""
@@ -89,7 +89,7 @@ def test_no_standard_streams_or_nobody_who_reads_them(begin, name):
     deaf = begin(name, before, stdout=writing, stderr=writing)
     os.close(writing)
     deaf.until(ready.exists)
-    deaf.send(TERM)
+    deaf.send(HUP if name in NODES else TERM)
     ended(deaf)
     ready.unlink(missing_ok=True)
     without = begin(name, before, 'exec "$@" <&- >&- 2>&-')

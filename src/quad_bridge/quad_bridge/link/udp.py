@@ -14,7 +14,7 @@ import time
 
 SCHEMES = ('udp', 'udpin', 'udpout')
 PEER_TIMEOUT_S = 10.0  # whoever has been silent for longer gets no answers
-MAX_PEERS = 8  # that are answered at once: whoever floods the port gets no more
+MAX_PEERS = 8  # that are answered at once: those who spoke last, so that no flood keeps one out
 LARGEST = 65536  # bytes of a datagram; ports are below it too
 BUFFER = 1 << 20  # bytes that wait in the kernel while the bridge gets no time
 NOT_OURS = (errno.EADDRINUSE, errno.EADDRNOTAVAIL)
@@ -60,8 +60,7 @@ class UdpPort:
                 data += datagram
                 if datagram:
                     self.refused = False
-                    if sender in self._peers or len(self._peers) < MAX_PEERS:
-                        self._peers[sender] = time.monotonic()
+                    self._peers[sender] = time.monotonic()
         return bytes(data)
 
     def write(self, data: bytes) -> int:
@@ -69,8 +68,9 @@ class UdpPort:
         try:
             if not self.listens:
                 return self._sent(data)
-            now_s = time.monotonic()
-            self._peers = {p: s for p, s in self._peers.items() if now_s - s < PEER_TIMEOUT_S}
+            since_s = time.monotonic() - PEER_TIMEOUT_S
+            last = sorted([*self._peers.items()], key=lambda peer: peer[1])[-MAX_PEERS:]
+            self._peers = {peer: heard_s for peer, heard_s in last if heard_s > since_s}
             return max((self._to(peer, data) for peer in [*self._peers]), default=len(data))
         except BlockingIOError:
             return 0
@@ -82,7 +82,7 @@ class UdpPort:
         except BlockingIOError:
             raise
         except OSError:
-            del self._peers[peer]
+            self._peers.pop(peer, None)
             return len(data)
 
     def close(self) -> None:

@@ -138,7 +138,8 @@ class McapFile:
     def add_topic(self, topic: RecordedTopic) -> None:
         """Declare a topic of this file before its first message."""
         if topic.kind not in self._schemas:
-            coding = 'ros2idl' if topic.definition.startswith('=' * 80) else 'ros2msg'
+            coding = 'ros2msg' if topic.definition else ''  # by rosbag2, where it has found none
+            coding = 'ros2idl' if topic.definition.startswith('=' * 80) else coding
             number = len(self._schemas) + 1
             body = struct.pack('<H', number) + text(topic.kind) + text(coding)
             self._schemas[topic.kind] = record(SCHEMA, body + text(topic.definition))

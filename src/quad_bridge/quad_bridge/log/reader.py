@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import mmap
 import re
+import sqlite3
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,10 @@ from rosbags.typesys.store import Typestore
 
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.stored.files import (
+    ORPHANS,
     PACKED,
     ZSTD_MAGIC,
+    address,
     plain_file,
     plain_message,
     recording_state,
@@ -33,6 +38,8 @@ from quad_bridge.log.stored.records import MAGIC, Topic
 from quad_bridge.log.stored.scan import McapScan, Message
 
 REMEDY = '`ros2 run quad_bridge recover` says more'
+_DAMAGED = Message(Topic('', '', ''), 0, b'')
+"""Stands for a row that is no message: without a topic, a time or bytes."""
 
 
 @dataclass(frozen=True)
@@ -183,9 +190,13 @@ def _sqlite_messages(plain: Path, file: Path) -> Iterator[Message]:
         with Reader(plain) as reader:
             for c in reader.connections:
                 qos = yaml.safe_dump(dump_qos_v9(list(c.ext.offered_qos_profiles)))  # type: ignore[union-attr]
-                topics[c.id] = Topic(c.topic, c.msgtype, c.msgdef.data, qos, c.digest)
+                topics[c.id] = Topic(str(c.topic), str(c.msgtype), c.msgdef.data, qos, c.digest)
             for c, time_ns, data in reader.messages():
-                yield Message(topics[c.id], time_ns, data if isinstance(data, bytes) else b'')
+                whole = isinstance(data, bytes) and isinstance(time_ns, int) and time_ns >= 0
+                yield Message(topics[c.id], time_ns, data) if whole else _DAMAGED
+        with closing(sqlite3.connect(address(plain), uri=True)) as base:
+            (orphans,) = base.execute(ORPHANS).fetchone()
+        yield from repeat(_DAMAGED, orphans)
     except Exception as error:
         what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
         raise BadInputError(str(file), what, remedy='is it a bag of rosbag2?') from error

@@ -7,6 +7,7 @@ closed with what it has.
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 from collections import deque
@@ -25,6 +26,9 @@ POLL_S = 0.05
 """Interval at which the thread takes the waiting messages."""
 SLOW_S = 1.0
 """Duration of a sync from which a warning is given."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Faults that leave what was written before: after any other, such as a sync that failed, the
+system may have dropped it, and the next sync does not say so."""
 LOW_DISK_BYTES = 100_000_000
 """Free space below which a warning is given."""
 
@@ -207,6 +211,8 @@ class Recording:
         try:
             self._writer.close_after_fault()
             end = 'closed, whole up to here'
+            if getattr(error, 'errno', None) not in FULL:
+                end = 'closed; `ros2 run quad_bridge recover` says what of it the disk has kept'
         except Exception as second:  # noqa: BLE001
             self._writer.abort()
             end = f'not closed ({second}); `ros2 run quad_bridge recover` reads it'

@@ -46,8 +46,6 @@ class Recovered:
     """Whether the bag is whole as it lies there."""
     kinds: dict[str, str] = field(default_factory=dict)
     """First type of each topic."""
-    refused: set[str] = field(default_factory=set)
-    """Topics whose type is damaged."""
 
     @property
     def messages(self) -> int:
@@ -132,7 +130,7 @@ def _copied(bag: Path, files: Sequence[Path], target: Path,
     if absent > 0:
         result.notes.append(f'  metadata.yaml counts {counted} messages')
         result.lost = max(result.lost, absent)
-    result.sound &= not (result.lost or result.undecodable or result.refused)
+    result.sound &= not (result.lost or result.undecodable)
     return result
 
 
@@ -170,28 +168,23 @@ def _copy_file(file: Path, writer: BagWriter | Tally, result: Recovered, *, alon
 
 
 def _copy(message: Message, writer: BagWriter | Tally, result: Recovered) -> None:
-    sound = message.data and message.time_ns < LATEST_NS
-    key = _declared(message.topic, writer, result) if sound else ''
-    if not key:
+    if not message.data or message.time_ns >= LATEST_NS:
         result.undecodable += 1
         return
+    key = _declared(message.topic, writer, result)
     writer.write(key, message.time_ns, message.data)
     result.counts[key] = writer.counts[key]
 
 
 def _declared(topic: Topic, writer: BagWriter | Tally, result: Recovered) -> str:
-    """Declare the topic; returns its key, empty where its type is damaged."""
+    """Declare the topic; returns its key."""
     key = topic.name
     if result.kinds.setdefault(key, topic.kind) != topic.kind:
         key = f'{topic.name} as {topic.kind}'
-    if key not in writer.counts and key not in result.refused:
-        try:
-            qos, definition = _qos(topic, result), Definition(topic.definition, topic.digest)
-            writer.add_topic(key, topic.kind, qos, definition, name=topic.name)
-        except BadInputError as error:
-            result.refused.add(key)
-            result.notes.append(f'  {topic.name}: left out, {error}')
-    return '' if key in result.refused else key
+    if key not in writer.counts:
+        qos, definition = _qos(topic, result), Definition(topic.definition, topic.digest)
+        writer.add_topic(key, topic.kind, qos, definition, name=topic.name)
+    return key
 
 
 def _qos(topic: Topic, result: Recovered) -> tuple[Qos, ...]:

@@ -6,6 +6,7 @@ writes the files. Source of metadata.yaml: rosbag2's version 9, as in Jazzy.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -50,6 +51,7 @@ class Definition:
     """Definition of a message type from a bag that is copied."""
 
     text: str
+    """Empty where that bag has none, as sqlite3 bags of ROS 2 Humble."""
     digest: str
     """RIHS01 hash; empty where unknown."""
 
@@ -103,7 +105,8 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes of all files so far, with the open chunk."""
-        return sum(entry.size for entry in self._closed) + self._file.size
+        still_open = 0 if self._file_closed else self._file.size
+        return sum(entry.size for entry in self._closed) + still_open
 
     def add_topic(
         self,
@@ -118,7 +121,7 @@ class BagWriter:
 
         `kind` such as `sensor_msgs/msg/Imu`. A topic's second type, in a bag that is copied, is
         declared under another `topic` with the `name` of the first. Raises BadInputError for a
-        type that is neither standard in Jazzy nor in `definition`.
+        type that is not standard in Jazzy, without a `definition`.
         """
         if topic in self._topics:
             return
@@ -126,7 +129,7 @@ class BagWriter:
             text, _ = self._store.generate_msgdef(kind, ros_version=2)
             digest = self._store.hash_rihs01(kind)
         except (TypesysError, KeyError) as error:
-            if definition is None or not definition.text:
+            if definition is None:
                 where = f'{self.path}: {topic}'
                 raise BadInputError(where, 'message type is not a standard one', kind) from error
             text, digest = definition.text, self._hash(kind, definition)
@@ -136,11 +139,14 @@ class BagWriter:
 
     def _hash(self, kind: str, definition: Definition) -> str:
         """RIHS01 hash of a type that is not standard; the definition's where it is unknown."""
+        unknown = definition.digest or 'RIHS01_' + '0' * 64
+        if not definition.text:
+            return unknown
         try:
             self._store.register(get_types_from_msg(definition.text, kind))
             return self._store.hash_rihs01(kind)
         except Exception:  # noqa: BLE001  (whatever a damaged text makes the parser raise)
-            return definition.digest or 'RIHS01_' + '0' * 64
+            return unknown
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Append one serialised message with its receive time, ns."""
@@ -167,7 +173,10 @@ class BagWriter:
             self._close_file()
         text = information(list(self._topics.values()), self._closed)
         part = self.path / 'metadata.yaml.part'
-        part.write_text(yaml_text({'rosbag2_bagfile_information': text}), encoding='utf-8')
+        with part.open('w', encoding='utf-8') as file:
+            file.write(yaml_text({'rosbag2_bagfile_information': text}))
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut could leave the name of an empty file
         part.replace(self.path / 'metadata.yaml')
         sync_folder(self.path)
 

@@ -177,7 +177,9 @@ def tell_unused(node: Any) -> None:
 
 
 def run(factory: Callable[[], Any], name: str) -> NoReturn:
-    """Spin one node until SIGINT, SIGTERM or its own `exit_status`; then end the process.
+    """Spin one node until SIGINT, SIGTERM, SIGHUP or its own `exit_status`; then end the process.
+
+    SIGHUP comes where the terminal closes, or its ssh breaks off; what `nohup` began ignores it.
 
     Nodes of its list `inside`, if it has one, spin with it; they begin before it and end after.
     The node's `close` runs while ROS still works; then executor, node and context end in this
@@ -185,8 +187,9 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
     with one line on stderr, where arguments or parameters are wrong or the node cannot begin.
     """
     stopping = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopping.set())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda *_: stopping.set())
     status: int | None = None
     try:
         with contextlib.ExitStack() as ending:

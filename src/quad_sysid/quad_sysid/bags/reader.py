@@ -43,7 +43,7 @@ TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, 
 PLAUSIBLE_PACK_V = (2.0, 100.0)
 """Voltage of a battery, V; values outside are left out."""
 BATTERY_GAP_S = 2.0
-"""Longest gap, s, over which the voltage is interpolated."""
+"""Longest gap, s, over which the voltage is interpolated, and how long it is held at the ends."""
 LOST_WARNING = 0.01
 """Share of the cycles without a value above which a warning says so."""
 LATER_PART = re.compile(r'_[1-9][0-9]{0,3}(\.[a-z0-9]+)+$')
@@ -299,6 +299,8 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
         wide = (places[after] - places[after - 1]) * grid.dt > BATTERY_GAP_S
         inside = (cells > places[0]) & (cells < places[-1])
         battery[wide & inside] = np.nan
+    beyond = np.maximum(places[0] - cells, cells - places[-1]) * grid.dt
+    battery[beyond > BATTERY_GAP_S] = np.nan
     return battery
 
 

@@ -181,6 +181,9 @@ class Storage:
                                  '`ros2 run quad_bridge recover` rebuilds the bag')
         elif scan.bad_chunks:
             self.warnings.append(f'{source}: {scan.bad_chunks} damaged chunks: read the rest')
+        elif scan.unread and scan.stated is None:  # no statistics count what was in them
+            self.warnings.append(f'{source}: {scan.unread} bytes are damaged: read the rest; '
+                                 f'{RECOVER}')
         if scan.unnamed:
             self.warnings.append(f'{source}: {scan.unnamed} messages have lost their topic')
         if scan.stated is not None and scan.lost:
@@ -195,10 +198,11 @@ class Storage:
         if fault:
             what = f'is a damaged sqlite3 file ({fault})'
             raise BadInputError(str(source), what, remedy=stored.sqlite_remedy(source))
-        strange = 0
         try:
             with closing(sqlite3.connect(stored.address(plain), uri=True)) as base:
-                topics = base.execute('SELECT id, name, type FROM topics').fetchall()
+                (strange,) = base.execute(stored.ORPHANS).fetchone()
+                topics = base.execute(
+                    'SELECT id, CAST(name AS TEXT), CAST(type AS TEXT) FROM topics').fetchall()
                 mine = {i: name for i, name, kind in topics if self._wanted(name, kind)}
                 count = 'SELECT count(*) FROM messages WHERE topic_id = ?'
                 foreign.update({
@@ -237,8 +241,14 @@ class Storage:
 
 
 def storage_in(folder: Path) -> list[Path]:
-    """The storage files of a folder, the parts of a split bag in their order."""
-    return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGE)),
+    """The storage files of a folder, the parts of a split bag in their order.
+
+    A compressed one beside its own content does not count: its recorder was killed meanwhile.
+    """
+    names = {p.name for p in folder.iterdir()}
+    return sorted((folder / name for name in names if name.endswith(STORAGE)
+                   and (not name.endswith(stored.PACKED)
+                        or name.removesuffix(stored.PACKED) not in names)),
                   key=lambda p: (len(p.name), p.name))
 
 

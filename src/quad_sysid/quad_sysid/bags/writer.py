@@ -90,9 +90,10 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
 def write_streams(path: str | Path, streams: Mapping[str, Stamped],
                   events: Mapping[str, Sequence[Event]],
                   options: BagOptions | None = None, description: str = '') -> Path:
-    """Write topics in the order of their stamps; raises BadInputError where `path` exists.
+    """Write topics in the order of their stamps.
 
-    `description`: the URDF of /robot_description, which stands before all others.
+    `description`: the URDF of /robot_description, which stands before all others. Raises
+    BadInputError where `path` exists or cannot be written.
     """
     path = Path(path)
     options = options or BagOptions()
@@ -106,24 +107,25 @@ def write_streams(path: str | Path, streams: Mapping[str, Stamped],
     plugin = StoragePlugin.MCAP if options.storage == 'mcap' else StoragePlugin.SQLITE3
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        with unfinished(path.parent) as folder:
+            writer = Writer(folder / path.name, version=9, storage_plugin=plugin)
+            writer.set_compression(CompressionMode[options.compression.upper()],
+                                   CompressionFormat.ZSTD)
+            for key, text in (options.notes or {}).items():
+                writer.set_custom_data(key, text)
+            with writer:
+                connections = {
+                    topic: writer.add_connection(topic, TOPIC_TYPES[topic],
+                                                 typestore=cdr.typestore(),
+                                                 offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
+                    for topic in topics
+                }
+                for stamp, topic, raw in _in_order(streams, events, description):
+                    writer.write(connections[topic], stamp, raw)
+            (folder / path.name).rename(path)
     except OSError as error:
-        raise BadInputError(str(path), 'cannot be created', error.strerror,
-                            'choose another --out') from error
-    with unfinished(path.parent) as folder:
-        writer = Writer(folder / path.name, version=9, storage_plugin=plugin)
-        writer.set_compression(CompressionMode[options.compression.upper()],
-                               CompressionFormat.ZSTD)
-        for key, text in (options.notes or {}).items():
-            writer.set_custom_data(key, text)
-        with writer:
-            connections = {
-                topic: writer.add_connection(topic, TOPIC_TYPES[topic], typestore=cdr.typestore(),
-                                             offered_qos_profiles=[_qos(TOPIC_TYPES[topic])])
-                for topic in topics
-            }
-            for stamp, topic, raw in _in_order(streams, events, description):
-                writer.write(connections[topic], stamp, raw)
-        (folder / path.name).rename(path)
+        raise BadInputError(str(path), 'cannot be written', error.strerror,
+                            'make room, or choose another --out') from error
     return path
 
 

@@ -24,6 +24,7 @@ from quad_sysid.files import read_by_library
 
 MAX_NUMBERS = 64
 """Longest array that becomes columns; a longer one is an image, a cloud or a matrix of data."""
+MEND = '`ros2 run quad_bridge recover` rebuilds what is whole, `rosbag reindex` a bag of ROS 1'
 PACKAGE_NAME = re.compile(r'<name>\s*([\w-]+)\s*</name>')
 
 Columns = dict[str, FloatArray]
@@ -51,7 +52,7 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
     if path.is_dir() and not storage_in(path):
         raise without_storage(path)
     store = get_typestore(Stores.ROS2_JAZZY)
-    with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
+    with read_by_library(path, 'is not a whole bag', MEND):
         kinds = {kind.partition('/')[0] for kind in topics_of(path).values()}
         if messages is not None:
             _register(store, messages, kinds)
@@ -154,7 +155,7 @@ def read_messages(
                 unknown[found.topic] = found.msgtype
         if unknown and (names is not None or not decoded):
             raise _undefined(path, unknown, messages)
-        with read_by_library(path, 'is not a whole bag', 'mend it, such as with rosbag reindex'):
+        with read_by_library(path, 'is not a whole bag', MEND):
             for connection, received, raw in reader.messages(connections=decoded):
                 message = reader.deserialize(raw, connection.msgtype)
                 topic = topics.get(connection.topic)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from shlex import quote
 
 from .records import MAGIC
 from .scan import UNPACK_ERRORS
@@ -28,6 +29,8 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 PACKED = '.zstd'
 """Suffix of a storage file that is compressed as a whole."""
 SQLITE_MAGIC = b'SQLite format 3\x00'
+ORPHANS = 'SELECT count(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM topics)'
+"""How many messages have lost their topic, in SQL."""
 
 
 RECORDING = 'is still being recorded'
@@ -109,5 +112,12 @@ def sqlite_fault(file: Path) -> str:
 
 
 def sqlite_remedy(file: Path) -> str:
-    """The command that saves the intact part of a damaged sqlite3 file."""
-    return f'`sqlite3 {file} .recover | sqlite3 {file.stem}_recovered.db3` saves what is whole'
+    """The command that saves what SQLite can still read of a damaged file.
+
+    Its `.recover` reads more, but is not compiled into the `sqlite3` of Debian and Ubuntu.
+    """
+    plain = file.with_name(file.name.removesuffix(PACKED))
+    unpack = f'zstdcat {quote(str(file))} > {quote(str(plain))}; ' if plain != file else ''
+    saved = quote(f'{plain.stem}_recovered.db3')
+    return (f"`{unpack}sqlite3 {quote(str(plain))} .dump | sed 's/^ROLLBACK.*/COMMIT;/' | "
+            f'sqlite3 {saved}` saves what SQLite can still read')

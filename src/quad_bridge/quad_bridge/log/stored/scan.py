@@ -235,7 +235,9 @@ class McapScan:
             return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
             content = bytes(_UNPACK_PART[name](written))
-        self.unchecked = sum(opcode == MESSAGE for opcode, _ in _split(content))
+        *_, checksum, _ = CHUNK_HEAD.unpack_from(self.data, position + RECORD.size)
+        if not checksum or zlib.crc32(content) != checksum:  # else the compression's end is cut
+            self.unchecked = sum(opcode == MESSAGE for opcode, _ in _split(content))
         return content
 
     def _named(self, channel: int) -> Topic | None:
