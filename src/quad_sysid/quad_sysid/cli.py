@@ -199,13 +199,11 @@ def _app_parser(commands: Commands) -> None:
 
 def _inspect(options: argparse.Namespace) -> int:
     from quad_sysid.inspection.content import content
-    from quad_sysid.inspection.text import lines
+    from quad_sysid.inspection.page import MARK, lines, page
     from quad_sysid.report.words import by_reason
 
     report = content(options.bag, options.log, options.messages)
     if options.out is not None:
-        from quad_sysid.inspection.page import MARK, page
-
         check_page(options.out, MARK, 'inspect')
         write_whole(options.out, page(report))
     if options.json:
