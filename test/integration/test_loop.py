@@ -78,7 +78,6 @@ from pathlib import Path
 from quad_tuning.demo import main, processes
 here, found = Path(sys.argv.pop(1)), processes.executable
 main.HERE, main.get_package_share_directory = here, lambda _: here
-main.EVALUATE_S = None  # however busy the machine is
 processes.executable = lambda package, name: (
     here / name if name == 'identification' else found(package, name))
 sys.exit(main.main())
