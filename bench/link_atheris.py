@@ -15,7 +15,8 @@ import atheris
 
 with atheris.instrument_imports(include=['quad_bridge']):
     from quad_bridge.wire.codec import Decoder
-    from quad_bridge.wire.framing import CHECKSUM, HEADER, MARKER, SIGNATURE
+    from quad_bridge.wire.framing import CHECKSUM, HEADER
+    from quad_bridge.wire.signing import MARKER, SIGNATURE
 from fastcrc.crc16 import mcrf4xx
 
 from quad_bridge.wire.codec import _EXTRAS

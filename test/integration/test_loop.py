@@ -75,10 +75,9 @@ def emulated(request, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 DEMO = """
 import sys
 from pathlib import Path
-from quad_tuning.demo import main, processes, story
+from quad_tuning.demo import main, processes
 here, found = Path(sys.argv.pop(1)), processes.executable
-story.HERE, story.get_package_share_directory = here, lambda _: here
-story.EVALUATE_S = None  # however busy the machine is
+main.HERE, main.get_package_share_directory = here, lambda _: here
 processes.executable = lambda package, name: (
     here / name if name == 'identification' else found(package, name))
 sys.exit(main.main())

@@ -37,6 +37,7 @@ from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report import sliders
+from quad_sysid.report.style import script
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
 uvicorn = pytest.importorskip(
@@ -571,7 +572,7 @@ def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, 
                       tuple(Parameter(n, v, None, '') for n, v in values.items()),
                       active_gains=flown.to_mapping('roll', constants=True))
     (tmp_path / 'page.html').write_text(
-        f'<html><body>{sliders.sliders(model, {})}{sliders.script()}</body></html>')
+        f'<html><body>{sliders.sliders(model, {})}{script("sliders.js")}</body></html>')
     browser.send('Page.navigate', url=(tmp_path / 'page.html').as_uri())
     browser.until("document.querySelectorAll('.tryout input').length === 4")
     found = browser.run("""(() => { const box = document.querySelector('.tryout');

@@ -14,8 +14,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import covariance, derivative_steps, fit
-from quad_sysid.explain.ladder import Ladder, _believed, _Climb, explain, resampled
-from quad_sysid.explain.models import Models
+from quad_sysid.explain.ladder import Ladder, Models, _believed, _Climb, explain, resampled
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Part
 from quad_sysid.model.sensitivity import Sensitivity

@@ -19,8 +19,8 @@ import quad_sysid as qs
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.fleets import bag, engine
+from quad_sysid.fleets.cli import write
 from quad_sysid.fleets.place import Place
-from quad_sysid.fleets.table import write
 
 MEASURED = ('seconds', 'cpu_s', 'peak_mb', 'kept_bytes', 'source')
 PLAN = Plan(26.0, (('train', 'prbs', 0.0, 15.0), ('validation', 'prbs', 15.0, 26.0)))

@@ -14,7 +14,7 @@ from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER
 from quad_sysid.inspection.content import content
-from quad_sysid.inspection.text import lines
+from quad_sysid.inspection.page import lines
 
 
 @pytest.fixture(scope='module')

@@ -19,8 +19,7 @@ from quad_sysid.effects.events import Held, PeriodicDelay
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
-from quad_sysid.explain.ladder import _believed
-from quad_sysid.explain.models import Models
+from quad_sysid.explain.ladder import Models, _believed
 from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import axis_data, slice_of
 from quad_sysid.model.effect import Part, required

@@ -55,9 +55,7 @@ class OperatorEnable:
 
     def fault(self, now_s: float) -> str:
         """Why excitation and arming are refused now; empty if they are allowed."""
-        if not self.required:
-            return ''
-        if self.held(now_s):
+        if not self.required or self.held(now_s):
             return ''
         if self.reason and now_s - self._heard_s <= HELD_S:  # else nobody says anything any more
             return f'/operator/enable: {self.reason}'

@@ -30,15 +30,10 @@ class ExcitationRelay:
         self._aircraft = aircraft or (lambda: quad)
         self._enable = enable or OperatorEnable(required=False)
         self._lost = False
-        self._injection = Injection.NONE
+        self.injection = Injection.NONE  # of the running segment
         self.forwarded = 0
         self.dropped = 0
         self.reason = ''  # why the last dropped set-point was dropped; empty after a good one
-
-    @property
-    def injection(self) -> Injection:
-        """Point of the loop at which the running segment injects."""
-        return self._injection
 
     def status(self, last: Cycle | None, now_s: float) -> Status:
         """The forwarded excitation, and its use by the STM32 in the last cycle."""
@@ -59,7 +54,7 @@ class ExcitationRelay:
             why = self._aircraft().cannot(Ability.EXCITE)
             level, text = WARN, why or 'the STM32 refuses the excitation' + (
                 ' of U1: its firmware may be older than the axis climb'
-                if self._injection is Injection.THRUST else '')
+                if self.injection is Injection.THRUST else '')
         elif disabled:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)
@@ -78,15 +73,15 @@ class ExcitationRelay:
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         if parameters.get('axis') == 'climb':  # the third of the values
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None
-        previous, self._lost = self._injection, False
-        self._injection = wanted if running and wanted is not None else Injection.NONE
-        end = self._aircraft().abort() if Injection.NONE in {previous, self._injection} else None
-        self._aircraft().segment(parameters if self._injection is not Injection.NONE else None)
+        previous, self._lost = self.injection, False
+        self.injection = wanted if running and wanted is not None else Injection.NONE
+        end = self._aircraft().abort() if Injection.NONE in {previous, self.injection} else None
+        self._aircraft().segment(parameters if self.injection is not Injection.NONE else None)
         return end
 
     def tick(self, now_s: float) -> Frame | None:
         """The frame that ends a running excitation where the operator has let go."""
-        running = self._injection is not Injection.NONE and not self._lost
+        running = self.injection is not Injection.NONE and not self._lost
         if not running or not self._enable.fault(now_s):
             return None
         self._lost = True
@@ -100,7 +95,7 @@ class ExcitationRelay:
         fault = aircraft.cannot(Ability.EXCITE) or self._enable.fault(now_s) or stale(age_s)
         if self._lost:
             fault = fault or 'the operator has released the enable: start the next segment'
-        elif self._injection is Injection.NONE:
+        elif self.injection is Injection.NONE:
             fault = fault or 'no segment is running: publish /excitation/segment first'
         elif not max(abs(x), abs(y), abs(z)) < LARGEST or math.isnan(x + y + z):
             fault = fault or f'set-point must lie within ±{LARGEST:g}: found {x}, {y}, {z}'
@@ -109,7 +104,7 @@ class ExcitationRelay:
             return None
         self.forwarded += 1
         self.reason = ''
-        return aircraft.excite((x, y, z), self._injection, self._valid_ms)
+        return aircraft.excite((x, y, z), self.injection, self._valid_ms)
 
     def _drop(self, reason: str) -> None:
         self.dropped += 1

@@ -10,21 +10,24 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import socket
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')  # a process of one thread may fork: beside.py
 
 from quad_sysid import comparison, exports
-from quad_sysid.app import cli as app
 from quad_sysid.arguments import (
+    BAD_ARGUMENTS,
     NOT_ANSWERED,
     Commands,
     Parser,
     candidates,
     command,
     effects_option,
+    log_options,
     own_effects,
     positive,
     progress,
@@ -33,12 +36,13 @@ from quad_sysid.arguments import (
 )
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.files import check_new, read_json, write_whole
+from quad_sysid.files import check_new, check_page, read_json, write_whole
 from quad_sysid.fleets import cli as fleets
 from quad_sysid.imports import cli as imports
-from quad_sysid.inspection import cli as inspection
-from quad_sysid.logview import cli as look
 from quad_sysid.record import Record
+
+INSPECTION = 'quad_sysid/inspection/1'
+"""Schema of `inspect --json`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -58,8 +62,8 @@ def _parser() -> Parser:
         'quad-sysid identify my_flight --axis roll --out result',
     )
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
-    inspection.add(commands)
-    look.add(commands)
+    _inspect_parser(commands)
+    _look_parser(commands)
     _identify_parser(commands)
     _evaluate_parser(commands)
     imports.add(commands)
@@ -67,11 +71,41 @@ def _parser() -> Parser:
     exports.add(commands)
     comparison.add(commands)
     fleets.add(commands)
-    app.add(commands)
+    _app_parser(commands)
     command(commands, 'compile', _compile,
             'Compile all that numba compiles, so that no first use has to wait (images, CI).',
             'quad-sysid compile')
     return parser
+
+
+def _inspect_parser(commands: Commands) -> None:
+    parser = command(
+        commands, 'inspect', _inspect,
+        'Show on one page what a bag or log holds and what it can be used for, without a fit.',
+        'quad-sysid inspect flight/', reads='bag', writes='file',
+    )
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 directory, .mcap file, a log of PX4, '
+                        'ArduPilot, Betaflight or INAV, or a table')
+    log_options(parser)
+    parser.add_argument('--out', metavar='HTML', type=Path,
+                        help='write a page too, with the motors drawn in their places')
+    quiet_and_json(parser, 'one JSON object')
+
+
+def _look_parser(commands: Commands) -> None:
+    parser = command(
+        commands, 'look', _look,
+        'Measure what any log or bag shows without a model: step response, spectra, loop, '
+        'delays, motors, tracking. Seconds, no identification.',
+        'quad-sysid look LOG00001.BFL --out look.html', reads='file', writes='file',
+    )
+    parser.add_argument('file', metavar='FILE', nargs='+', help='a log of PX4, ArduPilot, '
+                        'Betaflight or INAV, a table, or a bag; several are laid over one another')
+    parser.add_argument('--out', metavar='HTML', help='the page to write (default: FILE_look.html '
+                        'in this folder; an older one of look is replaced)')
+    log_options(parser)
+    parser.add_argument('--no-page', action='store_true', help='write no page')
+    quiet_and_json(parser, 'one JSON object (of several files a list)')
 
 
 def _identify_parser(commands: Commands) -> None:
@@ -145,6 +179,80 @@ def _design_parser(commands: Commands) -> None:
                         help='write a schedule as YAML to this new file')
     effects_option(parser)
     parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
+
+
+def _app_parser(commands: Commands) -> None:
+    parser = command(
+        commands, 'app', _app,
+        'Look at logs, identify and compare in a browser, on this machine only.',
+        'quad-sysid app my_flights',
+    )
+    parser.add_argument('folder', metavar='FOLDER', nargs='?', type=Path, default=Path(),
+                        help='the logs and bags that are shown; dropped files and results go '
+                        'there (default: this folder)')
+    parser.add_argument('--port', type=int, default=0,
+                        help='port on 127.0.0.1 (default: a free one)')
+    parser.add_argument('--most-mb', metavar='MB', type=float, default=200.0,
+                        help='largest file that may be dropped (default %(default)g)')
+    parser.add_argument('--no-browser', action='store_true', help='print the address only')
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from quad_sysid.inspection.content import content
+    from quad_sysid.inspection.page import MARK, lines, page
+    from quad_sysid.report.words import by_reason
+
+    report = content(options.bag, options.log, options.messages)
+    if options.out is not None:
+        check_page(options.out, MARK, 'inspect')
+        write_whole(options.out, page(report))
+    if options.json:
+        print(json.dumps({'schema': INSPECTION, **asdict(report)}, indent=1))
+    elif not options.quiet:
+        print('\n'.join(lines(report)))
+    if report.unusable:
+        print(f'quad-sysid: {report.unusable}', file=sys.stderr)
+        return BAD_ARGUMENTS
+    answers = [use.possible for axis in report.axes for use in axis.uses]
+    if not any(answers):
+        why = by_reason({axis.axis: '; '.join(use.because for use in axis.uses)
+                         for axis in report.axes})
+        print(f'quad-sysid: {options.bag}: {why}', file=sys.stderr)
+        return NOT_ANSWERED
+    return 0
+
+
+def _look(options: argparse.Namespace) -> int:
+    from quad_sysid.logview import several
+    from quad_sysid.logview.read import look
+
+    if len(options.file) > several.MOST:
+        raise BadInputError('look', f'takes {several.MOST} files at most', len(options.file))
+    show = progress(quiet=options.quiet)
+    looks = []
+    for file in options.file:
+        show(f'reading {file}')
+        looks.append(look(file, log=options.log, messages=options.messages))
+    only = looks[0] if len(looks) == 1 else None
+    out = None
+    if not options.no_page:
+        from quad_sysid.logview.page import MARK, page
+
+        name = Path(options.file[0]).resolve().name.partition('.')[0] or 'log'
+        stem = name if only else 'several'
+        out = Path(options.out or f'{stem}_look.html')
+        check_page(out, MARK, 'look')
+        show('drawing')
+        write_whole(out, page(only) if only else several.page(looks))
+    show('')
+    if options.json:
+        trees = [look.tree() for look in looks]
+        print(json.dumps(trees[0] if only else trees, indent=1))
+    elif not options.quiet:
+        print(only or '\n'.join(several.figures(looks).text()))
+        if out is not None:
+            print(f'\npictures in {out}')
+    return 0
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -251,6 +359,38 @@ def _trained(options: argparse.Namespace, record: Record) -> bool:
            if s.role == 'train' and s.axis in tree['axes']}
     return bool(own) and own <= trained and Path(options.bag).name in {
         Path(name).name for name in tree['bags']}
+
+
+def _app(options: argparse.Namespace) -> int:
+    try:
+        import uvicorn
+
+        from quad_sysid.app.server import App
+    except ImportError as error:
+        raise BadInputError('app', f'needs the package {error.name}',
+                            remedy='pip install starlette uvicorn') from error
+    if not options.folder.is_dir():
+        raise BadInputError(str(options.folder), 'is no folder', remedy='name one with logs')
+    if not 0 <= options.port <= 65535:
+        raise BadInputError('--port', 'must be 0 to 65535', options.port)
+    app = App(options.folder, positive('--most-mb', options.most_mb))
+    line = socket.socket()
+    line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        line.bind(('127.0.0.1', options.port))
+        line.listen()  # from here on a browser waits for the server
+    except OSError as error:
+        raise BadInputError('--port', 'is taken', options.port, 'choose another') from error
+    address = f'http://127.0.0.1:{line.getsockname()[1]}/?token={app.token}'
+    print(f'{address}\nCtrl-C ends it.', flush=True)
+    if not options.no_browser:
+        import webbrowser
+
+        webbrowser.open(address)
+    server = uvicorn.Server(uvicorn.Config(app.starlette(), log_level='warning',
+                                           server_header=False, timeout_graceful_shutdown=2))
+    server.run(sockets=[line])
+    return 0
 
 
 def _compile(_: argparse.Namespace) -> int:

@@ -177,7 +177,7 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
                          f'{EVERY[axis].excited_as}: no firmware here has one, and quad-tune send '
                          'leaves these out. Flown: usual gains, where a flight names none.')
     elif answer.get('steps'):
-        count, first = len(answer['steps']), _short(answer['gains'])
+        count, first = len(answer['steps']), history.words(answer['gains'])
         pace = f'{count} steps, 3 s apart' if count > 1 else 'one step'
         lines += wrapped(
             'quad-tune send sends it at once if the aircraft still has the gains of the flight; '
@@ -221,7 +221,7 @@ def _notch_table(notches: Sequence[Mapping[str, Any]]) -> str:
     head = ['notch', 'axis', 'Hz', 'width', 'command %', 'behind it', 'phase, deg']
     gains = {name: value for n in notches for name, value in n['gains'].items()}
     return '\n'.join([*Table(head, rows, (2, 3, 4, 5, 6)).text(),
-                      f'  send them by themselves: {_short(gains)}']) + '\n'
+                      f'  send them by themselves: {history.words(gains)}']) + '\n'
 
 
 def _unit(name: str) -> str:
@@ -229,10 +229,6 @@ def _unit(name: str) -> str:
 
     unit = ROWS[name].unit if name in ROWS else ''
     return '' if unit == '1' else unit
-
-
-def _short(gains: Mapping[str, float]) -> str:
-    return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
 
 
 if __name__ == '__main__':

@@ -33,7 +33,7 @@ from quad_tuning.bounds import (
 )
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, retune
-from quad_tuning.way import sag_settings, scheduled, way_to, with_schedule
+from quad_tuning.way import sag_settings, way_to, with_schedule
 
 SEED = 20_250_101
 """Seed of the draws, so that a model always gives the same gains."""
@@ -61,7 +61,7 @@ def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
     model = _around_lean(model, inner) if EVERY[model.axis].outer else in_flight(model)
     active = within_thrust(flown_gains(model), model)
     flown, chosen = model, sag_settings(model)
-    model = scheduled(model, chosen)
+    model = replace(model, active_gains={**model.active_gains, **chosen})
     plant = loop_plant(model)
     loops = ensembles.build(model, np.random.default_rng(SEED))
     if loops.unstable(active)[loops.nominal].any():

@@ -243,7 +243,7 @@ def go_back(arguments: argparse.Namespace) -> int:
     sets = read_history(path)
     chosen, gains = way_back(sets, arguments.to, str(path))
     stays = sorted(changed(sets[-1].gains, chosen.gains).keys() - gains.keys())
-    text = f'set {chosen.number} of {chosen.time}: {_words(gains) or "nothing differs"}' + (
+    text = f'set {chosen.number} of {chosen.time}: {words(gains) or "nothing differs"}' + (
         f'; no update changes {", ".join(stays)}, which stay as they are' if stays else '')
     if arguments.print or not gains:
         print(text)
@@ -259,10 +259,10 @@ def send(arguments: argparse.Namespace) -> int:
     try:
         refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
     except KeyboardInterrupt as interrupt:
-        for words in interrupt.args:
-            print(f'quad-tune: {words}', file=sys.stderr)
+        for line in interrupt.args:
+            print(f'quad-tune: {line}', file=sys.stderr)
         raise
-    return _report(refusal, f'active: {_words(gains)}; the bridge watches them for 10 s of '
+    return _report(refusal, f'active: {words(gains)}; the bridge watches them for 10 s of '
                    'flight and takes them back if they fly badly: see quad-tune history')
 
 
@@ -308,10 +308,10 @@ def table(sets: Sequence[GainSet]) -> str:
     rows = []
     before: Mapping[str, float] = {}
     for one in sets:
-        words = _words(changed(before, one.gains)) if before else f'{len(one.gains)} values'
+        new = words(changed(before, one.gains)) if before else f'{len(one.gains)} values'
         why = one.reason if one.outcome not in {'found', 'confirmed', 'passed'} else ''
         origin = ' and '.join(filter(None, (one.bag, one.model)))
-        below = '; '.join(filter(None, (words, why, origin and f'of {origin}')))
+        below = '; '.join(filter(None, (new, why, origin and f'of {origin}')))
         rows.append([str(one.number), one.time[:19], one.outcome,
                      one.source or 'read from the aircraft', below])
         before = one.gains
@@ -319,5 +319,6 @@ def table(sets: Sequence[GainSet]) -> str:
     return '\n'.join(Table(head, rows, (0,)).text(below=4))
 
 
-def _words(gains: Mapping[str, float]) -> str:
+def words(gains: Mapping[str, float]) -> str:
+    """Gains in a sentence."""
     return ', '.join(f'{name} {value:.4g}' for name, value in gains.items())

@@ -8,7 +8,7 @@ on gets the notch before D, which costs the least; the rest gets one on the gyro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
         near = any(abs(one.frequency_hz - peak.frequency_hz) < SAME_HZ for one in notches)
         if command < LEAST_COMMAND or near:
             continue
-        without_d = _command(_plain(cascades[axis]), peak, dt)
+        without_d = _command(replace(cascades[axis], rate_kd=0.0), peak, dt)
         occupied = gains.get('rate.d_notch_hz') or any(
             one.place == 'rate.d_notch' for one in notches)
         by_d = without_d < (1.0 - BY_D) * command and not occupied
@@ -96,10 +96,6 @@ def _command(gains: CascadeGains, peak: Peak, dt: float) -> float:
     """RMS of the command that a peak of the rate makes."""
     omega = np.array([2.0 * np.pi * peak.frequency_hz])
     return float(abs(gains.response(omega, dt)[0, 0])) * peak.rms
-
-
-def _plain(gains: CascadeGains) -> CascadeGains:
-    return CascadeGains(**{**vars(gains), 'rate_kd': 0.0})
 
 
 def _notch(place: str, axis: str, peak: Peak, command: float, gains: CascadeGains,
@@ -123,7 +119,7 @@ def _price(place: str, hz: float, width: float, command: float, peak: Peak, gain
            crossing_hz: float, dt: float) -> tuple[float, float]:
     """Degrees at the crossover, and the command that is left."""
     if place == 'rate.d_notch':
-        behind = CascadeGains(**{**vars(gains), 'd_notch_hz': hz, 'd_notch_bandwidth_hz': width})
+        behind = replace(gains, d_notch_hz=hz, d_notch_bandwidth_hz=width)
         at = np.array([2.0 * np.pi * max(crossing_hz, 1e-3)])
         turned = behind.response(at, dt)[0, 0] / gains.response(at, dt)[0, 0]
         return max(0.0, -float(np.degrees(np.angle(turned)))), _command(behind, peak, dt)

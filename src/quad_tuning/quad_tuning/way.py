@@ -117,11 +117,6 @@ def sag_settings(model: AxisModel) -> dict[str, float]:
     return {exponent: power, reference: at}
 
 
-def scheduled(model: AxisModel, chosen: Mapping[str, float]) -> AxisModel:
-    """The model with the schedule active."""
-    return replace(model, active_gains={**model.active_gains, **chosen}) if chosen else model
-
-
 def with_schedule(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
           active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
     """The steps with the schedule, its exponent in each as far as the gate allows."""

@@ -55,7 +55,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Means:
-    """Mode, messages and injections with which an autopilot flies set-points."""
+    """Mode and messages with which an autopilot flies set-points."""
 
     mode: int
     name: str
@@ -64,7 +64,6 @@ class Means:
     """Whether the thrust is a climb rate, 0.5 for none."""
     throttle_bit: tuple[str, int] | None = None
     """Parameter and bit that make a throttle of this climb rate: 0.5 would be half of it."""
-    injections: tuple[Injection, ...] = (Injection.ATTITUDE, Injection.RATE)
 
 
 class Takeover:
@@ -84,7 +83,8 @@ class Takeover:
         self._throttle = 0.0
         self._ask_back = False  # whether the mode from before is to be asked for, once
         self._axis = 0
-        self._wanted, self._wanted_s = 0.0, -math.inf
+        self._wanted, self.heard_s = 0.0, -math.inf
+        """The last set-point, and when the schedule was heard last, also beside SYSTEM ID."""
         self._since_s = self._sent_s = self._requested_s = -math.inf
         self._sent: deque[tuple[float, Vector3, Vector3]] = deque(maxlen=64)
         """When, the set-point in the unit of the injection, and its part without excitation."""
@@ -94,16 +94,11 @@ class Takeover:
         """Whether the schedule is flown now."""
         return self.phase is Phase.FLYING
 
-    @property
-    def heard_s(self) -> float:
-        """When the schedule was heard last, also beside SYSTEM ID."""
-        return self._wanted_s
-
     def begin(self, axis: int, injection: Injection, now_s: float) -> None:
         """Begin a segment on one axis that `fault` lets begin; in flight the next one follows."""
         flight = self._flight
         if self.phase is Phase.FLYING:
-            self._axis, self._wanted, self._wanted_s = axis, 0.0, now_s
+            self._axis, self._wanted, self.heard_s = axis, 0.0, now_s
             return
         throttle = 0.5 if self._means.climb else flight.hover_throttle(now_s)
         if throttle is None or flight.mode is None or flight.angles is None:
@@ -111,14 +106,14 @@ class Takeover:
             return
         self.refusal, self._axis, self.injection = '', axis, injection
         self._start, self._throttle = Guard.of(flight), throttle
-        self._wanted, self._wanted_s = 0.0, now_s
+        self._wanted, self.heard_s = 0.0, now_s
         self._sent.clear()
         self._go(Phase.STREAMING, now_s)
 
     def fault(self, injection: Injection, now_s: float) -> str:
         """Why no segment may begin beside what the aircraft's own rules say."""
-        if injection not in self._means.injections:
-            injections = ' or '.join(i.name.lower() for i in self._means.injections)
+        if injection not in MOST:
+            injections = ' or '.join(i.name.lower() for i in MOST)
             return f'{self._means.name} takes an injection of {injections}'
         if self._means.throttle_bit is not None:
             name, bit = self._means.throttle_bit
@@ -139,7 +134,7 @@ class Takeover:
     def excite(self, value: float, now_s: float) -> None:
         """Set what is to be added to the axis now."""
         most = MOST.get(self.injection, 0.0)
-        self._wanted, self._wanted_s = min(max(value, -most), most), now_s
+        self._wanted, self.heard_s = min(max(value, -most), most), now_s
 
     def end(self, reason: str, now_s: float, *, abort: bool = False) -> None:
         """Give the mode back."""
@@ -229,7 +224,7 @@ class Takeover:
             return f'{self._means.name} was left by the pilot or the autopilot'
         if flight.mode not in {start.mode, self._means.mode}:
             return 'the pilot has chosen another mode'
-        if self.phase is Phase.FLYING and now_s - self._wanted_s > LATEST_S:
+        if self.phase is Phase.FLYING and now_s - self.heard_s > LATEST_S:
             return f'the schedule has been silent for {LATEST_S:g} s'
         return ''
 

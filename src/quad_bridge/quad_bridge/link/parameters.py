@@ -14,11 +14,11 @@ from quad_bridge.wire.frames import REAL32, Heartbeat, ParamRequestRead, ParamVa
 
 AT_ONCE = 8  # requests on their way: a telemetry radio must not be flooded
 AGAIN_NS, TRIES = 400_000_000, 3  # longer than an answer over a telemetry radio usually takes
-PX4 = 12  # MAV_AUTOPILOT
+PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 _INTEGERS = {1: 'B', 2: 'b', 3: 'H', 4: 'h', 5: 'I', 6: 'i'}  # MAV_PARAM_TYPE to its layout
 _PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')
 _PX4_MOST, _PX4_OUTPUTS = 12, 16
-_PX4_FIRST_MOTOR = 101  # output function Motor 1
+PX4_FIRST_MOTOR = 101  # output function Motor 1
 _COUNT = 'CA_ROTOR_COUNT'
 _ARDUPILOT = (
     'FRAME_CLASS', 'FRAME_TYPE', 'MOT_PWM_MIN', 'MOT_PWM_MAX',
@@ -82,7 +82,7 @@ class Parameters:
     def _names(self) -> tuple[str, ...]:
         if self._autopilot == PX4:
             return px4_names(self.values)
-        return _ARDUPILOT if self._autopilot == 3 else ()
+        return _ARDUPILOT if self._autopilot == ARDUPILOT else ()
 
 
 def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
@@ -92,7 +92,7 @@ def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
         return (_COUNT,)
     rotors = (f'CA_ROTOR{k}_{part}' for k in range(count) for part in _PX4_ROTOR)
     outputs = [f'PWM_MAIN_FUNC{k}' for k in range(1, _PX4_OUTPUTS + 1)]
-    motors = range(_PX4_FIRST_MOTOR, _PX4_FIRST_MOTOR + count)
+    motors = range(PX4_FIRST_MOTOR, PX4_FIRST_MOTOR + count)
     if {values.get(name) for name in outputs} >= set(motors):
         outputs = []  # every motor has its output
     elif not all(name in values for name in outputs[:count]):

@@ -57,7 +57,7 @@ class Aircraft:
         self._steps = firmware.physics_steps_per_cycle
         self._effect = effect
         self._rng = np.random.default_rng(seed)
-        self._cycle = 0
+        self.cycle = 0  # number of the coming control cycle
         phases = self._rng.uniform(0.0, 2.0 * math.pi, 1 + 16)
         step_s = self.cycle_s / self._steps
         plant = build_plant(
@@ -102,11 +102,6 @@ class Aircraft:
         self._normals = np.empty(0)
 
     @property
-    def cycle(self) -> int:
-        """Number of the coming control cycle, from 0."""
-        return self._cycle
-
-    @property
     def gains(self) -> dict[str, float]:
         """The parameters that `run` flies with, by the contract's names, SI."""
         return dict(zip(ROWS, map(float, self.machine.gains), strict=True))
@@ -125,7 +120,7 @@ class Aircraft:
         self._normals = self._rng.standard_normal(width)
         trim = self.hover_throttle if channels.throttle is None else channels.throttle
         values = np.empty(2)
-        measure_cycle(machine, self._cycle, trim, self._normals[:NORMALS_PER_CYCLE], values)
+        measure_cycle(machine, self.cycle, trim, self._normals[:NORMALS_PER_CYCLE], values)
         throttle, volts = map(float, values)
         if channels.hold:
             throttle = trim
@@ -147,16 +142,16 @@ class Aircraft:
         """Apply these motor commands and run the physics to the next cycle."""
         steps = self._normals[NORMALS_PER_CYCLE:]
         compiled = steps if self._effect is None else steps[:0]
-        move_cycle(self.machine, self._cycle, np.array(motors.commands), compiled)
+        move_cycle(self.machine, self.cycle, np.array(motors.commands), compiled)
         if self._effect is not None:
             self._effect_steps(steps)
-        self._cycle += 1
+        self.cycle += 1
         self._turning = any(motors.commands)
 
     @property
     def time_us(self) -> int:
         """Device time of the coming cycle."""
-        return round(self._cycle * self.cycle_s * 1e6)
+        return round(self.cycle * self.cycle_s * 1e6)
 
     def run(self, inputs: FloatArray) -> FloatArray:
         """Fly the cycles with these inputs (n, INPUTS); returns the log (n, WIDTH)."""
@@ -166,16 +161,16 @@ class Aircraft:
             block = slice(start, min(start + BLOCK_CYCLES, inputs.shape[0]))
             normals = self._rng.standard_normal((block.stop - start, width))
             if self._effect is None:
-                run_cycles(self.machine, self._cycle, inputs[block], normals, log[block])
+                run_cycles(self.machine, self.cycle, inputs[block], normals, log[block])
             else:
                 for row in range(block.stop - start):
                     self._stepwise(row, inputs[block][row], normals[row], log[block][row])
-            self._cycle += block.stop - start
+            self.cycle += block.stop - start
         return log
 
     def _stepwise(self, row: int, inputs: FloatArray, noise: FloatArray, log: FloatArray) -> None:
         """One cycle with the Python effect called before every physics step."""
-        begin_cycle(self.machine, self._cycle + row, inputs, noise[:NORMALS_PER_CYCLE], log)
+        begin_cycle(self.machine, self.cycle + row, inputs, noise[:NORMALS_PER_CYCLE], log)
         self._effect_steps(noise[NORMALS_PER_CYCLE:])
 
     def _effect_steps(self, normals: FloatArray) -> None:

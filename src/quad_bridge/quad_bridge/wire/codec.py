@@ -15,7 +15,7 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.framing import Counts, Framer, Packet
 from quad_bridge.wire.messages import FROM_AUTOPILOT, FROM_MESSAGE, OFTEN, message_of, unpacked
 from quad_bridge.wire.plausible import plausible
-from quad_bridge.wire.signing import SIGNED_FLAG, Signing, Verdict
+from quad_bridge.wire.signing import SIGNED, Signing, Verdict
 
 _OURS = {number: kind for number, kind in dialect.mavlink_map.items() if number >= 0}
 _NAMES = {number: kind.msgname for number, kind in _OURS.items()} | {
@@ -48,16 +48,12 @@ class Decoder:
         """
         self._signing = signing
         self._own = own
-        self._peer: tuple[int, int] | None = None
+        self.peer: tuple[int, int] | None = None
+        """System and component of the peer; None before its first message, or without `own`."""
         self._cycles = False  # whether the peer has sent control cycles
         self._last: f.Cycle | None = None  # with a counter of 32 bits
         self.counts = Counts()
         self._framer = Framer(_EXTRAS, self.counts)
-
-    @property
-    def peer(self) -> tuple[int, int] | None:
-        """System and component of the peer; None before its first message, or without `own`."""
-        return self._peer
 
     def resync(self) -> None:
         """Forget an incomplete frame and the peer: the port was opened anew. Counts stay."""
@@ -66,7 +62,7 @@ class Decoder:
 
     def release(self) -> None:
         """Let another sender be the peer: the one before has fallen silent."""
-        self._peer, self._cycles = None, False
+        self.peer, self._cycles = None, False
 
     def feed(self, data: bytes) -> list[f.Frame]:
         """Frames completed by `data`, in order of arrival. Never raises."""
@@ -84,13 +80,13 @@ class Decoder:
             if verdict is not Verdict.GOOD:
                 self.counts.refused(verdict)
                 return False
-        elif packet.whole[2] & SIGNED_FLAG:
+        elif packet.whole[2] & SIGNED:
             self.counts.unverified += 1
         sender = (packet.system, packet.component)
-        if self._own is None or sender == self._peer:
+        if self._own is None or sender == self.peer:
             return True
         # who sends control cycles is the peer; a heartbeat alone is a guess
-        free = self._peer is None or (packet.message == _CYCLE and not self._cycles)
+        free = self.peer is None or (packet.message == _CYCLE and not self._cycles)
         if sender == self._own or not free:
             self.counts.foreign += 1
             return False
@@ -138,11 +134,11 @@ class Decoder:
     def _known(self, frame: f.Frame, packet: Packet) -> bool:
         """Take who flies for the peer; False for an answer of somebody else."""
         if isinstance(frame, f.Cycle):
-            self._peer, self._cycles = (packet.system, packet.component), True
-        elif self._peer is None:
+            self.peer, self._cycles = (packet.system, packet.component), True
+        elif self.peer is None:
             if not isinstance(frame, f.Heartbeat) or frame.autopilot == NO_AUTOPILOT:
                 return not isinstance(frame, _ANSWERS)
-            self._peer = (packet.system, packet.component)
+            self.peer = (packet.system, packet.component)
         return True
 
 

@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
-from quad_bridge.wire.signing import Verdict
+from quad_bridge.wire.signing import MARKER, SIGNATURE, SIGNED, Verdict
 
-MARKER = 0xFD
 OLD_MARKER = 0xFE
-HEADER, CHECKSUM, SIGNATURE = 10, 2, 13
-SIGNED = 0x01
+HEADER, CHECKSUM = 10, 2
 _OLD_HEADER = 6
 _SENDERS = 16  # senders whose sequence numbers are remembered
 

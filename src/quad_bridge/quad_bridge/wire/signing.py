@@ -13,14 +13,14 @@ from collections.abc import Callable
 from enum import Enum
 
 KEY_BYTES = 32
-SIGNED_FLAG = 0x01  # bit of the incompatibility flags of a signed frame
+SIGNED = 0x01  # bit of the incompatibility flags of a signed frame
 _EPOCH_NS = 1_420_070_400_000_000_000
 """2015-01-01 GMT, from which signatures count, in ns since 1970."""
 LAST = 1 << 47
 """August 2059. A time has 48 bits; whoever accepted one near the end would soon have none left."""
 _YEAR = 365 * 86_400 * 100_000
 _SET = 10 * _YEAR  # a clock behind it, in the end of 2024, was never set
-_MARKER, _BLOCK, _DIGEST = 0xFD, 13, 6
+MARKER, SIGNATURE, _DIGEST = 0xFD, 13, 6
 
 
 class Verdict(Enum):
@@ -66,12 +66,12 @@ class Signing:
 
     def judge(self, frame: bytes) -> Verdict:
         """The verdict on one whole frame, its checksum already verified."""
-        if frame[0] != _MARKER or not frame[2] & SIGNED_FLAG:
+        if frame[0] != MARKER or not frame[2] & SIGNED:
             return Verdict.UNSIGNED
         digest = hashlib.sha256(self.key + frame[:-_DIGEST]).digest()[:_DIGEST]
         if not hmac.compare_digest(digest, bytes(frame[-_DIGEST:])):
             return Verdict.FORGED
-        block = frame[-_BLOCK:]
+        block = frame[-SIGNATURE:]
         time = int.from_bytes(block[1:7], 'little')
         stream = (block[0], frame[5], frame[6])
         last = self._streams.get(stream, self._start - 1)

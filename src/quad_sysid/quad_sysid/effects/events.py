@@ -69,14 +69,13 @@ class Event(Torque):
 
     def prepare(self, data: AxisData) -> Settings | str:
         settings = super().prepare(data)
-        if isinstance(settings, str) or not self.happens:
-            return settings
-        return {**settings, 'until': float(data.clock[-1])}
+        return settings if isinstance(settings, str) else {
+            **settings, 'until': float(data.clock[-1])}
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        if self.happens:  # at any time of the flight, however late it began to be excited
-            sizes = np.r_[max(float(sizes[0]), settings.get('until', 0.0)), sizes[1:]]
-        return super().precision(settings, sizes)
+        # at any time of the flight, however late it began to be excited
+        flown_s = max(float(sizes[0]), settings.get('until', 0.0))
+        return super().precision(settings, np.r_[flown_s, sizes[1:]])
 
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
@@ -96,10 +95,10 @@ class Event(Torque):
         return np.array([-1e6, *p[1:]])  # it happened long before
 
 
-class Periodic(Repeating, Event):
+class Periodic(Repeating, Torque):
     """A term that swings; its phase differs from flight to flight."""
 
-    happens = False
+    size = size_of_term
 
     def __init__(self, term: str, name: str, **more: str) -> None:
         self.term, unit = term, UNITS[term]

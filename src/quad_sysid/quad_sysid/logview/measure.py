@@ -15,7 +15,7 @@ from quad_sysid.contract import AXES, IDLE, FloatArray
 from quad_sysid.logview import response, step
 from quad_sysid.logview.flown import Flown, Stretch, stretches
 from quad_sysid.logview.spectrum import Frames, frames
-from quad_sysid.record import AT_LIMIT
+from quad_sysid.record import AT_LIMIT, finite_runs
 
 DEG = 180.0 / np.pi
 NOISE_HZ = 80.0
@@ -61,6 +61,8 @@ class AxisLook:
     gyro_before: Frames | None
     """Spectra of the rate before the filters."""
     d_term: Frames | None
+    broken: bool
+    """Whether most of the flight is between gaps that leave no room for a step response."""
 
     @property
     def rate_step(self) -> step.Response | None:
@@ -170,7 +172,13 @@ def _axis(flown: Flown, axis: str, usable: npt.NDArray[np.bool_],
                            follows=_follows(tracking, rate, usable)), tracking,
         gyro, gyro_before,
         _d_frames(gyro, gains, axis, flown.cycle_s) if d_term is None else
-        frames(d_term, usable, dt))
+        frames(d_term, usable, dt), _broken(flown.flying & np.isfinite(rate), dt))
+
+
+def _broken(known: npt.NDArray[np.bool_], dt: float) -> bool:
+    runs = [b - a for a, b in finite_runs(known, (0, len(known)))]
+    whole = sum(n for n in runs if n * dt > step.LEAST_RUN * step.RATE.seconds)
+    return len(runs) > 1 and whole < 0.5 * sum(runs)
 
 
 def _d_frames(gyro: Frames | None, gains: Mapping[str, float], axis: str,

@@ -16,7 +16,7 @@ from quad_sysid.logview.pictures import makers
 from quad_sysid.logview.words import header, part_tables, sentences, tables
 from quad_sysid.report import zoom
 from quad_sysid.report.canvas import Picture, framed
-from quad_sysid.report.style import document
+from quad_sysid.report.style import document, script
 
 MARK = '<meta name="generator" content="quad-sysid look">'
 """By which a page of this command is recognised, and may be replaced."""
@@ -48,7 +48,7 @@ def page(look: Measured) -> str:
         f'<h2>Gains in the log</h2><pre>{gains}</pre>' if gains else '',
         '<h2>Notes</h2><ul class="small">' + ''.join(f'<li>{escape(n)}</li>' for n in notes)
         + '</ul>' if notes else '',
-        zoom.script(), mark=MARK, style=zoom.STYLE)
+        script('zoom.js'), mark=MARK, style=zoom.STYLE)
 
 
 def _figure(make: Callable[[Measured], Picture | None], look: Measured) -> str:

@@ -15,7 +15,7 @@ from quad_sysid.logview.measure import DEG, AxisLook, Measured
 from quad_sysid.logview.page import MARK
 from quad_sysid.report import canvas, zoom
 from quad_sysid.report.canvas import Picture
-from quad_sysid.report.style import document
+from quad_sysid.report.style import document, script
 from quad_sysid.report.tables import Table
 from quad_sysid.report.words import number
 
@@ -64,7 +64,7 @@ def page(looks: Sequence[Measured]) -> str:
         f'Look at {title}',
         f'<h1>Look at {len(looks)} flights</h1><p class="small">{escape(title)}</p>',
         figures(looks).html(), f'<h2>Traces</h2>{_traces(looks)}',
-        f'<h2>Pictures</h2><div class="figures">{drawn}</div>', zoom.script(),
+        f'<h2>Pictures</h2><div class="figures">{drawn}</div>', script('zoom.js'),
         mark=MARK, style=zoom.STYLE)
 
 

@@ -14,8 +14,7 @@ from quad_sysid.contract import AXES
 from quad_sysid.logview.measure import DEG, NOISE_HZ, AxisLook, Measured, Part, noise_rms
 from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Peak
-from quad_sysid.logview.step import LEAST_RUN, RATE, Response
-from quad_sysid.record import finite_runs
+from quad_sysid.logview.step import Response
 from quad_sysid.report.tables import Table, wrapped
 
 SCHEMA = 'quad_sysid/look/1'
@@ -92,7 +91,7 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
         error = on_axis.tracking[0]
         text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
                 f'{DEG * error.setpoint_rms:.3g}; ' + (
-                    'gaps come too often' if _broken(look, on_axis.axis) else
+                    'gaps come too often' if on_axis.broken else
                     'the set-point moves too little, or the rate follows it too loosely,')
                 + ' for a step response')
     elif look.flown.rate_setpoint is None:
@@ -114,15 +113,6 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
         if peaks:
             text += f', of which {DEG * peaks[0].rms:.2g} at {peaks[0].frequency_hz:.0f} Hz'
     return f'{text}.'
-
-
-def _broken(look: Measured, axis: str) -> bool:
-    """Whether most of the flight is between gaps that leave no room for a step response."""
-    flight = look.flown
-    known = flight.flying & np.isfinite(flight.rates[:, AXES.index(axis)])
-    runs = [b - a for a, b in finite_runs(known, (0, flight.n))]
-    whole = sum(n for n in runs if n * flight.dt > LEAST_RUN * RATE.seconds)
-    return len(runs) > 1 and whole < 0.5 * sum(runs)
 
 
 def _figures(step: Response) -> str:

@@ -5,7 +5,7 @@ Calls the packages in the order of the data's line and nothing else; decides whi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
-from quad_sysid.contract import AXES
+from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.constants import AGAIN
 from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
@@ -24,20 +24,62 @@ from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
 from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import noise_of
 from quad_sysid.explain import explain
+from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import AxisModel, Designer, GainProposal
-from quad_sysid.model.data import AxisData
+from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
 from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline.answer import AxisAnswer, Findings
 from quad_sysid.pipeline.assemble import Support, axis_model, outside_of
 from quad_sysid.pipeline.blackbox_part import Fits, about_base, fit_models, io_data
 from quad_sysid.pipeline.constants import GUSTY
-from quad_sysid.pipeline.flight import AxisFlight
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
-from quad_sysid.pipeline.step_b import Loop, closed_loop
-from quad_sysid.pipeline.usable import refusal, together, too_few_windows
+from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
+from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
 from quad_sysid.record import IOData, Record
+from quad_sysid.units import Units
+
+
+@dataclass(frozen=True)
+class AxisFlight:
+    """One axis of one or several flights: its data, the loop around it, its references."""
+
+    data: AxisData
+    loop: Loop
+    gains: Mapping[str, float]
+    """Gains and loop constants in force during the first record's training."""
+    units: Units | None
+    """Units of the arrays that it came from; None: of its axis."""
+    drawn_hz: float
+    """Sample rate, Hz, of commands that were interpolated in between; 0 if they were not."""
+    attitude_reference: FloatArray | None
+    """(n,) rad, on the grid of the data; None where a record does not hold it."""
+    rate_reference: FloatArray | None
+    """(n,) rad/s, alike."""
+
+    @classmethod
+    def of(cls, records: Sequence[Record], axis: str) -> AxisFlight:
+        """Raises NotInformativeError where the records cannot answer for the axis."""
+        data, entry, first = axis_data(records, axis), EVERY[axis], records[0]
+        check_usable(data, records)
+        # of surge and sway the command is the lean, which nobody interpolates
+        commands = slice(1, None) if entry.turns else slice(1)
+        drawn = [drawn_hz(record.control[:, commands], record.dt)
+                 for record in records if entry.turns or entry.index < 0]
+        trained = [s.start_s for s in first.segments if s.role == 'train']
+
+        def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
+            columns = [setpoint[:, entry.index] for setpoint in setpoints
+                       if setpoint is not None and entry.turns]
+            return np.concatenate(columns) if len(columns) == len(setpoints) else None
+
+        return cls(
+            data, loop_of(records, axis), dict(first.gains_at(min(trained, default=0.0))),
+            first.units, max(drawn, default=0.0),
+            joined([record.attitude_setpoint for record in records]),
+            joined([record.rate_setpoint for record in records]))
+
 
 Progress = Callable[[str], None]
 NOT_SEARCHED = 'effects were not searched for'

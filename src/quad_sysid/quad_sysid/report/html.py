@@ -14,7 +14,7 @@ from quad_sysid.report.canvas import embedded, framed
 from quad_sysid.report.next_flight import next_flight
 from quad_sysid.report.plots import PICTURES, Gallery, draw, gallery
 from quad_sysid.report.plots_data import zooming
-from quad_sysid.report.style import document
+from quad_sysid.report.style import document, script
 from quad_sysid.whole import URDF
 
 SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
@@ -60,8 +60,8 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
         'ones were opened once. Numbers in full: report.json; the model: model.json. '
         f'Source: {sources}</p>'
     )
-    return document(f'Identification of {bags}', *parts, zoom.script(), sliders.script(), COPY,
-                    style=zoom.STYLE + sliders.STYLE)
+    return document(f'Identification of {bags}', *parts, script('zoom.js'),
+                    script('sliders.js'), COPY, style=zoom.STYLE + sliders.STYLE)
 
 
 def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: str) -> str:

@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from quad_sysid.loop.linear import ComplexArray, loops_of
 from quad_sysid.model import AxisModel
 from quad_sysid.units import in_units_of
 
-SCRIPT = Path(__file__).with_name('sliders.js')
 SECONDS = 0.6
 """Length of the step over half a period of the axis' trial."""
 STICK_S = 0.02
@@ -48,11 +46,6 @@ def sliders(model: AxisModel, designed: Mapping[str, float]) -> str:
             'flight; margins are the smaller ones of wide motion and near rest. Noise: what of '
             + in_units_of(model.units, 'the gyro') + ' reaches the command, beside the gains that '
             'flew.</p>')
-
-
-def script() -> str:
-    """The element with sliders.js, to stand behind the last group."""
-    return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
 
 
 def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any] | None:

@@ -1,8 +1,9 @@
-"""What every page shares: its shell, and its style sheet: colours, sizes, tables, print."""
+"""What every page shares: shell, scripts, and a style sheet: colours, sizes, tables, print."""
 
 from __future__ import annotations
 
 from html import escape
+from pathlib import Path
 
 LIGHT = """--paper:#ffffff;--card:#f6f8fa;--line:#d5dae0;--ink:#1b1f24;
 --muted:#5f6b78;--grid:#d5dae0;--blue:#0072b2;--orange:#d55e00;--green:#009e73;--sky:#56b4e9;--pink:#cc79a7;"""
@@ -62,6 +63,12 @@ figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
 .figures{columns:2}.scroll{overflow:visible}table{font-size:8.5pt}}
 """
 )
+
+
+def script(name: str) -> str:
+    """The element with a script of this folder, to stand behind the last that it draws."""
+    text = Path(__file__).with_name(name).read_text(encoding='utf-8')
+    return f'<script>{text}</script>'
 
 
 def document(title: str, *body: str, mark: str = '', style: str = '') -> str:

@@ -11,13 +11,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 
 import numpy as np
 
 from quad_sysid.contract import FloatArray
 
-SCRIPT = Path(__file__).with_name('zoom.js')
 INT16 = np.iinfo(np.int16)
 """What a sample is coded in; the least one stands for a lost sample (zoom.js)."""
 STYLE = """.zoom{margin:.6em 0;outline-offset:4px}.zoomrow{display:block;width:100%;height:130px;
@@ -79,11 +77,6 @@ def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (),
     fine = '' if every == 1 else f' Drawn by the lowest and highest of {every} samples each.'
     return (f'<div class="zoom" aria-label="{names}"><script type="application/json">{text}'
             f'</script></div><p class="small">{HELP}{fine}</p>')
-
-
-def script() -> str:
-    """The element with zoom.js, to stand behind the last group."""
-    return f'<script>{SCRIPT.read_text(encoding="utf-8")}</script>'
 
 
 def _line(line: Line, every: int) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """One function per stage of a flight campaign: connect, fly a schedule, identify, update gains.
 
 Each starts the processes it needs, waits for what the topics say, and raises StageFailedError.
-The order of the stages and their messages are in story.py.
+The order of the stages and their messages are in main.py.
 """
 
 from __future__ import annotations
