@@ -138,6 +138,10 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypat
     now = {f'motors.output_{k}': float(k) for k in range(1, 5)} | found
     assert tuple(int(now[f'motors.output_{k}']) for k in range(1, 5)) == WIRES
 
+    armed = []
+    talk.wait = lambda seconds: (wait(seconds), armed.append(talk.cycle.flags & 1))
+    wizard.Wizard(talk, person, person.told.append).run(['receiver'])
+    assert not any(armed)  # though the arming switch was thrown, with the throttle down
     talk.wait = wait
     built.force, built.pulses = np.array([0.0, 0.0, -9.80665]), built.rest()
     built.pulses[ORDER['pitch'] - 1] = 1080.0
@@ -251,6 +255,7 @@ def test_any_turn_of_the_board_is_found():
 @pytest.mark.parametrize(('step', 'answers', 'told'), [
     ('motors', ['x', 'n'], "must be a number of 800 to 2200: found 'x'"),
     ('motors', ['1000', '1100', '', '1000', '2000', 'n'], 'must be at least 200 µs above'),
+    ('battery', ['60', 'n'], 'battery.divider: 50.5 1 lies outside 1 to 40'),
     ('outputs', ['on', 'n'], 'no motor is spun with a propeller on'),
     ('outputs', ['OFF', '', '', '', 'n', *['', '', ''] * 3, 'n'], 'motor 1: swap two of its'),
 ])
@@ -266,7 +271,11 @@ def test_a_wrong_answer_is_said_and_what_is_not_agreed_to_is_not_written(step, a
 def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, printed, refused):
     values = {row.name: row.start[0] for row in SET_UP} | {'battery.divider': 9.5}
     kept, bad, port = tmp_path / 'a' / 'setup.yaml', tmp_path / 'bad.yaml', tmp_path / 'tty'
-    save(kept, 'one', values)
+    save(kept, 'one', values | {'battery.divider': 8.5})
+    for _ in range(2):
+        save(kept, 'one', values)
+    (earlier,) = kept.parent.glob('setup_*.yaml')
+    assert load(earlier)['battery.divider'] == 8.5
     assert load(kept) == pytest.approx(values)
     bad.write_text('set_up: {motors.output_1: 9}\n', encoding='utf-8')
     for wrong, words in ((['--restore', bad], 'bad.yaml: motors.output_1'), (

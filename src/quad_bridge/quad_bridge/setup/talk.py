@@ -13,7 +13,7 @@ import numpy as np
 from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
-from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.gains.table import SET_UP, WIRE_NAMES
 from quad_bridge.motor_test import COMMAND, VALID_S, frame
 from quad_bridge.si import FloatArray
 from quad_bridge.wire import Decoder, Encoder
@@ -39,6 +39,8 @@ class Talk:
         self._queue: list[f.Frame] = []
         self._acks: list[int] = []
         self.texts: list[str] = []
+        self.kept: Mapping[str, float] = {}
+        """All parameters as they were last read back, also where a later write failed."""
         self.cycle: f.Cycle | None = None
         self.channels: tuple[int, ...] = ()
         self.failsafe = True
@@ -100,6 +102,15 @@ class Talk:
         """Wait for the firmware and its parameters. Raises RefusedError."""
         self._until(lambda: bool(self.values) and self.cycle is not None, READ_S,
                     'no firmware with QUAD_GAINS answers: check port, baud and power')  # fmt: skip
+        missing = [row.name for row in SET_UP if row.name not in self.values]
+        if missing:
+            raise RefusedError(f'{missing[0]}: this firmware does not know it; flash a newer one')
+        self.kept = self.values
+
+    @property
+    def armed(self) -> bool:
+        """Whether its last control cycle was armed."""
+        return self.cycle is not None and bool(self.cycle.flags & f.Flag.ARMED)
 
     def write(self, values: Mapping[str, float]) -> None:
         """Write a set, read it back, keep it. Raises RefusedError where that fails."""
@@ -109,9 +120,11 @@ class Talk:
             self._until(lambda: bool(self._protocol.events), WRITE_S, 'no answer to the set')
             event = self._protocol.events.pop(0)
             if event.what is not wanted:
-                raise RefusedError(f'not written: {event.reason or event.what.value}')
+                remedy = '; it is armed: disarm it first' if self.armed else ''
+                raise RefusedError(f'not written: {event.reason or event.what.value}{remedy}')
             if wanted is What.COMMITTED:
                 self._protocol.confirm()
+        self.kept = self.values
 
     def pulses(self) -> tuple[float, ...]:
         """The receiver's pulses as they come, µs, by its own channels."""
