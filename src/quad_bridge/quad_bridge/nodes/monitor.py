@@ -148,7 +148,7 @@ class Monitor(Node):  # type: ignore[misc]
 
     def _show(self) -> None:
         text = '\n'.join(self._state.lines(time.monotonic()))
-        self._write(f'{HOME}{text}\n\n{self._said}\n' if self._terminal else f'{text}\n\n')
+        self._write(f'{HOME}{text}\n\n{self._text}\n' if self._terminal else f'{text}\n\n')
 
     def _write(self, text: str) -> None:
         if not say(text):
