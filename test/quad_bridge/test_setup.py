@@ -238,6 +238,26 @@ def test_what_does_not_fit_is_refused_in_words():
         measure.compass(flat)
 
 
+def test_a_position_may_be_off_by_some_degrees_and_must_be_still():
+    built, talk = standing()
+    angles = np.radians(np.random.default_rng(3).uniform(-8.0, 8.0, (6, 3)))
+    raw = {n: TURN.T @ measure.turn(*off) @ (9.80665 * np.array(v)) / SCALE + OFFSET
+           for (n, v), off in zip(measure.FORCES.items(), angles, strict=True)}  # fmt: skip
+    found = measure.six_positions(raw)
+    for i, axis in enumerate('xyz'):
+        assert found[f'accel.offset_{axis}'] == pytest.approx(OFFSET[i], abs=0.005)
+        assert found[f'accel.scale_{axis}'] == pytest.approx(SCALE[i], abs=0.0005)
+
+    def turned(seconds):  # at 0.3 rad/s, whose range is none
+        for _ in range(round(seconds / 0.05)):
+            built.force = measure.turn(0.015, 0.0, 0.0) @ built.force
+            built.wait(talk, 0.05)
+
+    built.turning, talk.wait = 0.3, turned
+    with pytest.raises(RefusedError, match='it moved'):
+        talk.force()
+
+
 def test_any_turn_of_the_board_is_found():
     """Not only quarter turns; up to what a hand can hold."""
     rng = np.random.default_rng(2)

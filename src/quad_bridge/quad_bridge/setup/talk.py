@@ -23,7 +23,9 @@ from quad_bridge.wire.signing import Signing
 CHANNELS = 9  # of a receiver; the raw ones follow the corrected ones
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05  # longest for all values, and between looks
 REST_S = 1.5  # over it the specific force of a position is averaged
+FEWEST_CYCLES = 10  # of them
 STILL_RAD_S = 0.15  # range of the rates over REST_S: a hand that holds it still stays below
+STEADY_M_S2 = 1.0  # between the halves of REST_S: a steady turn of 0.14 rad/s has no such range
 
 
 class Talk:
@@ -141,11 +143,13 @@ class Talk:
         self.wait(0.5)
         self._forces, self._rates = [], []
         self.wait(REST_S)
-        if not self._forces:
+        if len(self._forces) < FEWEST_CYCLES:
             raise RefusedError('no control cycles are received')
-        if float(np.ptp(np.array(self._rates), axis=0).max()) > STILL_RAD_S:
+        forces, half = np.array(self._forces), len(self._forces) // 2
+        turned = np.linalg.norm(forces[:half].mean(axis=0) - forces[half:].mean(axis=0))
+        if np.ptp(np.array(self._rates), axis=0).max() > STILL_RAD_S or turned > STEADY_M_S2:
             raise RefusedError('it moved: hold it still')
-        mean: FloatArray = np.mean(self._forces, axis=0)
+        mean: FloatArray = forces.mean(axis=0)
         return mean
 
     def fields(self, seconds: float) -> FloatArray:

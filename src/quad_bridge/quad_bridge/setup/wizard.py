@@ -218,10 +218,10 @@ def _refuse_beyond_limits(values: Mapping[str, float]) -> None:
 
 
 def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
-    """Write the aircraft's file whole; one with other values stays beside it. Raises BadInputError.
+    """Write the aircraft's file whole; one with other values stays beside it.
 
     A firmware that could not read what it had kept has the table's values: the earlier file is
-    the only place that still has the aircraft's own.
+    the only place that still has the aircraft's own. Raises BadInputError.
     """
     set_up = {name: float(values[name]) for name in NAMES}
     entry = {'aircraft': aircraft, 'written': f'{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}',

@@ -90,7 +90,8 @@ class App:
                 return Response(refused, 403, media_type='text/plain')
             if request.query_params.get('token'):  # from now on by the cookie
                 answer: Response = responses.RedirectResponse(request.url.path, 303)
-                answer.set_cookie(COOKIE.format(request.url.port), self.token, httponly=True, samesite='strict')
+                answer.set_cookie(COOKIE.format(request.url.port), self.token, httponly=True,
+                                  samesite='strict')
                 return _sealed(answer)
             try:
                 return _sealed(await handler(request))
