@@ -299,7 +299,8 @@ def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, pr
     assert load(kept) == pytest.approx(values)
     bad.write_text('set_up: {motors.output_1: 9}\n', encoding='utf-8')
     for wrong, words in ((['--restore', bad], 'bad.yaml: motors.output_1'), (
-            ['--restore', tmp_path], 'is no file of setup'), (['engine'], "no step 'engine'")):
+            ['--restore', tmp_path], 'is no file of setup'), (['engine'], "no step 'engine'"),
+            (['--port', 'socket://rig:5760'], '--key: is required')):
         assert words in refused(wizard.main, *wrong)
     with Port(FlightController(), Pty(port)) as there:
         own = ['--port', port, '--folder', tmp_path]

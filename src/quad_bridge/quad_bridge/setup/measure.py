@@ -167,7 +167,8 @@ def _of_length_g(
                                   for one in force - offset])  # fmt: skip
         missed = np.concatenate([length[:, 0] - GRAVITY_M_S2,
                                  HELD * (felt - place @ rotation).ravel()])  # fmt: skip
-        step, *_ = np.linalg.lstsq(np.vstack([of_length, HELD * of_direction]), -missed, rcond=None)
+        slopes = np.vstack([of_length, HELD * of_direction])
+        step, *_ = np.linalg.lstsq(slopes, -missed, rcond=None)
         offset, scale = offset + step[:3], scale + step[3:]
     return offset, scale, _nearest(place.T @ ((force - offset) * scale))
 

@@ -23,7 +23,7 @@ from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.gains.history import default_folder
 from quad_bridge.gains.table import ROWS, SET_UP
 from quad_bridge.key_file import signing_from
-from quad_bridge.link.port import SerialPort
+from quad_bridge.link.port import SerialPort, over_network
 from quad_bridge.motor_test import MAX_THROTTLE, USUAL_THROTTLE
 from quad_bridge.setup import measure
 from quad_bridge.setup.talk import Talk
@@ -328,6 +328,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _set_up(args: argparse.Namespace) -> int:
     restored = load(args.restore) if args.restore is not None else None
+    if over_network(args.port) and args.key is None:
+        raise BadInputError('--key', 'is required where the port leads to another computer',
+                            args.port, "run setup on the aircraft's own computer, or make a key")
     line = _Line(args.port, args.baud)
     talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
