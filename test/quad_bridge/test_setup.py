@@ -306,7 +306,11 @@ def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, pr
         own = ['--port', port, '--folder', tmp_path]
         assert 'it is armed' in refused(wizard.main, *own)
         said = printed(wizard.main, *own, '--restore', kept)
-    (file,) = {*tmp_path.glob('*/setup.yaml')} - {kept}
-    assert said == f'1 values written\n{file}\n'
-    assert load(file)['battery.divider'] == 9.5
+        (file,) = {*tmp_path.glob('*/setup.yaml')} - {kept}
+        assert said == f'1 values written\n{file}\n'
+        assert load(file)['battery.divider'] == 9.5
+        entry = load(file) | {'battery.divider': 7.5}
+        save(file, 'one', entry)
+        assert 'it is armed' in refused(wizard.main, *own)
+        assert load(file) == entry
     assert there.controller.store.of([WIRE_NAMES['battery.divider']], 'good') == (9.5,)

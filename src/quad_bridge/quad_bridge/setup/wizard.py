@@ -335,13 +335,14 @@ def _set_up(args: argparse.Namespace) -> int:
     talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
         talk.read()
+        path, read = (args.folder or default_folder()) / talk.aircraft / FILE, talk.kept
         try:
             if restored is None:
                 Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
             else:
                 say(f'{len(written(talk, restored))} values written\n')
         finally:  # also of a wizard that ends half-way: its steps are in the aircraft already
-            path = (args.folder or default_folder()) / talk.aircraft / FILE
-            save(path, talk.aircraft, talk.kept)
+            if talk.kept is not read or not path.is_file():
+                save(path, talk.aircraft, talk.kept)
         say(f'{path}\n')
     return 0
