@@ -545,6 +545,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     browser.press('inspect')  # with the next job the list of files is renewed
     browser.until("document.getElementById('files').innerText.includes('older')")
     browser.choose('model.json')
+    assert browser.run("document.getElementById('train').value") == ''
     browser.press('compare', 'nothing changed')
     browser.choose('older')
     browser.run("document.getElementById('to').value = 'px4'")

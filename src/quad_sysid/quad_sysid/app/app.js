@@ -23,7 +23,10 @@ async function listFiles() {
   for (const file of files) {
     const item = document.createElement('li'), label = document.createElement('label');
     const box = document.createElement('input'); box.type = 'checkbox'; box.checked = chosen.has(file.path);
-    box.onchange = () => { if (box.checked) chosen.add(file.path); else chosen.delete(file.path); };
+    box.onchange = () => {
+      if (box.checked) chosen.add(file.path); else chosen.delete(file.path);
+      $('train').value = $('validate').value = ''; tell(); // they were those of other flights
+    };
     label.append(box, ' ' + file.path + ' '); const more = document.createElement('span');
     more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
     label.append(more); item.append(label); list.append(item);
