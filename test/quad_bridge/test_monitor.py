@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,8 @@ def test_the_screen_tells_all_in_one_place():
         r'coverage +ok +roll 0.5 to 20 of 0.5 to 20', r'gains +- +nothing received', r'100 %',
         r' 70 s trained, 0 s validated$'):
         assert re.search(pattern, shown, re.MULTILINE), pattern
+    blind = replace(state, angles_deg=(math.nan,) * 3)
+    assert 'angles      -      not measured' in blind.lines(100.0)
     nothing = '\n'.join(State().lines(0.0))
     assert 'nothing received' in nothing
     assert 'roll' not in nothing
