@@ -103,7 +103,7 @@ class Talk:
     def read(self) -> None:
         """Wait for the firmware and its parameters. Raises RefusedError."""
         self._until(lambda: bool(self.values) and self.cycle is not None, READ_S,
-                    'no firmware with QUAD_GAINS answers: check port, baud and power')  # fmt: skip
+                    lambda: f'no firmware with QUAD_GAINS answers: {self._remedy()}')
         missing = [row.name for row in SET_UP if row.name not in self.values]
         if missing:
             raise RefusedError(f'{missing[0]}: this firmware does not know it; flash a newer one')
@@ -119,7 +119,8 @@ class Talk:
         self._protocol.events.clear()
         self._protocol.write({WIRE_NAMES[name]: value for name, value in values.items()}, 0)
         for wanted in (What.COMMITTED, What.CONFIRMED):
-            self._until(lambda: bool(self._protocol.events), WRITE_S, 'no answer to the set')
+            self._until(lambda: bool(self._protocol.events), WRITE_S,
+                        lambda: 'no answer to the set')
             event = self._protocol.events.pop(0)
             if event.what is not wanted:
                 remedy = '; it is armed: disarm it first' if self.armed else ''
@@ -174,10 +175,18 @@ class Talk:
         if not self._acks:
             raise RefusedError('no answer to MAV_CMD_DO_MOTOR_TEST')
 
-    def _until(self, done: Callable[[], bool], seconds: float, words: str) -> None:
+    def _until(self, done: Callable[[], bool], seconds: float, words: Callable[[], str]) -> None:
         remaining = round(seconds / STEP_S)
         while not done() and remaining > 0:
             self.wait(STEP_S)
             remaining -= 1
         if not done():
-            raise RefusedError(words)
+            raise RefusedError(words())
+
+    def _remedy(self) -> str:
+        counts = self._decoder.counts
+        if counts.unverified or counts.forged:
+            return 'it signs its frames, and answers only who has its key: give that by --key'
+        if counts.unsigned:
+            return 'it does not sign: give it the key, or leave --key out'
+        return 'check port, baud and power'
