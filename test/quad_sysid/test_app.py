@@ -321,10 +321,11 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     assert (later.state, later.doing) == ('stopped', 'the app ended first: start it again')
 
 
-def test_a_folder_that_is_gone_is_one_line(started, tmp_path):
+def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refused):
     folder = tmp_path / 'flights'
     folder.mkdir()
     server = started(folder)
+    assert 'flights: has an app that runs' in refused(main, 'app', folder, '--no-browser')
     folder.rmdir()
     status, text = server.ask('/upload?name=a.csv', b't\n')
     assert status == 400

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import fcntl
+import os
 import socket
 from pathlib import Path
 
@@ -39,7 +41,15 @@ def _run(options: argparse.Namespace) -> int:
         raise BadInputError(str(options.folder), 'is no folder', remedy='name one with logs')
     if not 0 <= options.port <= 65535:
         raise BadInputError('--port', 'must be 0 to 65535', options.port)
-    app = App(options.folder, positive('--most-mb', options.most_mb))
+    most_mb = positive('--most-mb', options.most_mb)
+    try:  # until this process ends
+        fcntl.flock(os.open(options.folder, os.O_RDONLY), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:  # which would show the jobs of the other one as stopped
+        raise BadInputError(str(options.folder), 'has an app that runs',
+                            remedy='open the address that it printed, or end it') from error
+    except OSError:
+        pass  # a file system without locks
+    app = App(options.folder, most_mb)
     line = socket.socket()
     line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
