@@ -2,10 +2,15 @@
 
 import itertools
 import math
+import os
 import re
+import signal
+import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from node_process import GRACE_S, node_command
 from probe import event, stamp
 
 from quad_bridge.monitor.coverage import BAND, Pairs, coverage, needed_s, reachable
@@ -86,6 +91,8 @@ def test_the_screen_tells_all_in_one_place():
         r'coverage +ok +roll 0.5 to 20 of 0.5 to 20', r'gains +- +nothing received', r'100 %',
         r' 70 s trained, 0 s validated$'):
         assert re.search(pattern, shown, re.MULTILINE), pattern
+    blind = replace(state, angles_deg=(math.nan,) * 3)
+    assert 'angles      -      not measured' in blind.lines(100.0)
     nothing = '\n'.join(State().lines(0.0))
     assert 'nothing received' in nothing
     assert 'roll' not in nothing
@@ -163,3 +170,16 @@ def test_the_node_says_when_enough_is_in(probe, start):
     fly_until(r'imu +ok +250 Hz', 'idle')
     assert monitor.end() == 0
     assert '\x1b' not in monitor.printed
+
+
+def test_a_terminal_shows_the_screen():
+    terminal, its_end = os.openpty()
+    with subprocess.Popen(node_command('monitor', '/left'), stdout=its_end, stderr=its_end) as one:
+        shown = b''
+        while b'validated' not in shown and b'ERROR' not in shown:
+            shown += os.read(terminal, 4096)
+        one.send_signal(signal.SIGINT)
+        assert one.wait(GRACE_S) == 0
+    os.close(terminal)
+    os.close(its_end)
+    assert b'\x1b[H\x1b[Jlink        -      nothing received' in shown

@@ -11,11 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from quad_bridge.link.autopilot import Inertial
 from quad_bridge.motor_outputs import MotorOutputs
+from quad_bridge.status import WARN, Status
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import quaternion, upwards
 
 pytest.importorskip('sensor_msgs.msg', reason='needs the ROS 2 message packages')
 from quad_bridge.nodes import conversion
+from quad_bridge.nodes.diagnostics import Changes
+from quad_bridge.nodes.fence import LogLimiter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
@@ -141,3 +144,11 @@ def test_what_others_send_in_si_and_nan_minus_one_or_none_where_not_measured():
     assert not empty.present
     assert conversion.Messages().mag(f.SlowSensors(0), 0) is None
     assert conversion.Messages().baro(f.SlowSensors(0), 0) is None
+
+
+def test_a_state_that_lasts_is_logged_as_it_begins():
+    changes, logged = Changes(LogLimiter()), []
+    for second in range(5):
+        words = f'no answer for {second} s' if second < 4 else 'converged'
+        logged += changes.new([Status('clock', WARN, words, {})], float(second))
+    assert [entry.message for entry in logged] == ['no answer for 0 s', 'converged']

@@ -138,6 +138,10 @@ def test_the_wizard_finds_how_it_is_built_and_the_firmware_flies_by_it(monkeypat
     now = {f'motors.output_{k}': float(k) for k in range(1, 5)} | found
     assert tuple(int(now[f'motors.output_{k}']) for k in range(1, 5)) == WIRES
 
+    armed = []
+    talk.wait = lambda seconds: (wait(seconds), armed.append(talk.cycle.flags & 1))
+    wizard.Wizard(talk, person, person.told.append).run(['receiver'])
+    assert not any(armed)  # though the arming switch was thrown, with the throttle down
     talk.wait = wait
     built.force, built.pulses = np.array([0.0, 0.0, -9.80665]), built.rest()
     built.pulses[ORDER['pitch'] - 1] = 1080.0
@@ -234,6 +238,26 @@ def test_what_does_not_fit_is_refused_in_words():
         measure.compass(flat)
 
 
+def test_a_position_may_be_off_by_some_degrees_and_must_be_still():
+    built, talk = standing()
+    angles = np.radians(np.random.default_rng(3).uniform(-8.0, 8.0, (6, 3)))
+    raw = {n: TURN.T @ measure.turn(*off) @ (9.80665 * np.array(v)) / SCALE + OFFSET
+           for (n, v), off in zip(measure.FORCES.items(), angles, strict=True)}  # fmt: skip
+    found = measure.six_positions(raw)
+    for i, axis in enumerate('xyz'):
+        assert found[f'accel.offset_{axis}'] == pytest.approx(OFFSET[i], abs=0.005)
+        assert found[f'accel.scale_{axis}'] == pytest.approx(SCALE[i], abs=0.0005)
+
+    def turned(seconds):  # at 0.3 rad/s, whose range is none
+        for _ in range(round(seconds / 0.05)):
+            built.force = measure.turn(0.015, 0.0, 0.0) @ built.force
+            built.wait(talk, 0.05)
+
+    built.turning, talk.wait = 0.3, turned
+    with pytest.raises(RefusedError, match='it moved'):
+        talk.force()
+
+
 def test_any_turn_of_the_board_is_found():
     """Not only quarter turns; up to what a hand can hold."""
     rng = np.random.default_rng(2)
@@ -251,6 +275,7 @@ def test_any_turn_of_the_board_is_found():
 @pytest.mark.parametrize(('step', 'answers', 'told'), [
     ('motors', ['x', 'n'], "must be a number of 800 to 2200: found 'x'"),
     ('motors', ['1000', '1100', '', '1000', '2000', 'n'], 'must be at least 200 µs above'),
+    ('battery', ['60', 'n'], 'battery.divider: 50.5 1 lies outside 1 to 40'),
     ('outputs', ['on', 'n'], 'no motor is spun with a propeller on'),
     ('outputs', ['OFF', '', '', '', 'n', *['', '', ''] * 3, 'n'], 'motor 1: swap two of its'),
 ])
@@ -266,17 +291,26 @@ def test_a_wrong_answer_is_said_and_what_is_not_agreed_to_is_not_written(step, a
 def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, printed, refused):
     values = {row.name: row.start[0] for row in SET_UP} | {'battery.divider': 9.5}
     kept, bad, port = tmp_path / 'a' / 'setup.yaml', tmp_path / 'bad.yaml', tmp_path / 'tty'
-    save(kept, 'one', values)
+    save(kept, 'one', values | {'battery.divider': 8.5})
+    for _ in range(2):
+        save(kept, 'one', values)
+    (earlier,) = kept.parent.glob('setup_*.yaml')
+    assert load(earlier)['battery.divider'] == 8.5
     assert load(kept) == pytest.approx(values)
     bad.write_text('set_up: {motors.output_1: 9}\n', encoding='utf-8')
     for wrong, words in ((['--restore', bad], 'bad.yaml: motors.output_1'), (
-            ['--restore', tmp_path], 'is no file of setup'), (['engine'], "no step 'engine'")):
+            ['--restore', tmp_path], 'is no file of setup'), (['engine'], "no step 'engine'"),
+            (['--port', 'socket://rig:5760'], '--key: is required')):
         assert words in refused(wizard.main, *wrong)
     with Port(FlightController(), Pty(port)) as there:
         own = ['--port', port, '--folder', tmp_path]
         assert 'it is armed' in refused(wizard.main, *own)
         said = printed(wizard.main, *own, '--restore', kept)
-    (file,) = {*tmp_path.glob('*/setup.yaml')} - {kept}
-    assert said == f'1 values written\n{file}\n'
-    assert load(file)['battery.divider'] == 9.5
+        (file,) = {*tmp_path.glob('*/setup.yaml')} - {kept}
+        assert said == f'1 values written\n{file}\n'
+        assert load(file)['battery.divider'] == 9.5
+        entry = load(file) | {'battery.divider': 7.5}
+        save(file, 'one', entry)
+        assert 'it is armed' in refused(wizard.main, *own)
+        assert load(file) == entry
     assert there.controller.store.of([WIRE_NAMES['battery.divider']], 'good') == (9.5,)

@@ -54,12 +54,13 @@ class Client:
     def __init__(self, folder: Path, address: str) -> None:
         self.folder, self.address = folder, address
         self.base, _, self.token = address.partition('/?token=')
+        self.port = self.base.rpartition(':')[2]
 
     def ask(self, path, data=None, *, token=True, **headers):
         """(status, text) of a request."""
         sent = {name.replace('_', '-'): value for name, value in headers.items()}
         if token:
-            sent['Cookie'] = f'quad_sysid_token={self.token}'
+            sent['Cookie'] = f'quad_sysid_token_{self.port}={self.token}'
         request = urllib.request.Request(self.base + path, data, sent)  # noqa: S310
         try:
             with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:  # noqa: S310
@@ -134,6 +135,8 @@ def test_no_name_leads_out_of_the_folder(server):
                   {'kind': 'export', 'to': 'px4'}, {'kind': 'schedule'},
                   {'kind': 'import', 'columns': [['p', '--out', '']]},
                   {'kind': 'import', 'columns': [['p', 'rate, roll', 'rad/s --out /']]},
+                  {'kind': 'import', 'columns': [['\0t', 'time', ''], ['u', 'control, roll', ''],
+                                                 ['p', 'rate, roll', '']]},
                   {'kind': 'import', 'columns': [['t', 'time', '']]}):
         assert server.job(files=['my_flight'], **asked)[0] == 400, asked
     assert server.ask('/jobs', b'[]')[0] == 400
@@ -211,7 +214,7 @@ def test_an_upload_is_listed_when_it_is_whole_and_none_is_left_cut_off(server):
     host, port = server.base.removeprefix('http://').split(':')
     with socket.create_connection((host, int(port)), PATIENCE_S) as line:
         line.sendall(f'POST /upload?name=slow.csv HTTP/1.1\r\nHost: {host}:{port}\r\nCookie: '
-                     f'quad_sysid_token={server.token}\r\nContent-Length: 99\r\n\r\nt,a\n'
+                     f'quad_sysid_token_{port}={server.token}\r\nContent-Length: 99\r\n\r\nt,a\n'
                      .encode())
         end = time.monotonic() + PATIENCE_S
         while not (new := {path.name for path in server.folder.iterdir()} - before):
@@ -319,10 +322,11 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     assert (later.state, later.doing) == ('stopped', 'the app ended first: start it again')
 
 
-def test_a_folder_that_is_gone_is_one_line(started, tmp_path):
+def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refused):
     folder = tmp_path / 'flights'
     folder.mkdir()
     server = started(folder)
+    assert 'flights: has an app that runs' in refused(main, 'app', folder, '--no-browser')
     folder.rmdir()
     status, text = server.ask('/upload?name=a.csv', b't\n')
     assert status == 400
@@ -466,7 +470,7 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
     flight = fly(Airframe(X), 1, 20.0)
     torque = flight['motors'] @ MIXER_INVERSE[1:].T
     np.savetxt(log, np.column_stack([DT * np.arange(len(torque)), torque, flight['rates']]),
-               '%.5g', ',', header='t,tau_x,tau_y,tau_z,wobble,gy,gz', comments='')
+               '%.5g', ',', header='@timestamp,tau_x,tau_y,tau_z,wobble,gy,gz', comments='')
     browser.send('Page.navigate', url=server.address)
     browser.until("document.querySelectorAll('#files input').length === 1")
     root = browser.send('DOM.getDocument')['root']['nodeId']
@@ -499,6 +503,7 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
             break
     assert not wanted
     browser.choose('dropped')
+    browser.run("document.querySelector('#jobs button').isTheSame = true")
     browser.press('columns')
     browser.until("!document.getElementById('menus').hidden")
     browser.run("""(() => {
@@ -507,6 +512,8 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
         document.getElementById('take').focus(); })()""")
     browser.key('Enter', 13)
     browser.until("document.getElementById('files').innerText.includes('dropped_bag')")
+    # a line of the list is not made anew while it is pressed, or has the keyboard
+    assert browser.run("[...document.querySelectorAll('#jobs button')].some(b => b.isTheSame)")
     # a second tab sees the same jobs
     browser.other_tab(server.base + '/')
     browser.until("document.getElementById('jobs')?.innerText.includes('import dropped')")
@@ -540,6 +547,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     browser.press('inspect')  # with the next job the list of files is renewed
     browser.until("document.getElementById('files').innerText.includes('older')")
     browser.choose('model.json')
+    assert browser.run("document.getElementById('train').value") == ''
     browser.press('compare', 'nothing changed')
     browser.choose('older')
     browser.run("document.getElementById('to').value = 'px4'")
@@ -602,7 +610,10 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     server = started(tmp_path / 'flights')
     for name, content in (('a.csv', 't\n'), ('notes.doc', 'x'), ('big.bin', 'x' * 1_100_000)):
         (tmp_path / name).write_text(content)
-    browser.send('Page.navigate', url=server.address)
+    for url in (server.address, started(tmp_path).address):  # and the app of another folder
+        browser.send('Page.navigate', url=url)
+        browser.until("!!document.querySelector('#files li')")
+    browser.send('Page.navigate', url=f'{server.base}/')
     browser.until("document.getElementById('files')?.innerText.includes('no logs here yet')")
     said = "document.getElementById('say').innerText"
 

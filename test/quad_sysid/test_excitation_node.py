@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from node_process import Started
-from probe import Probe, content, entries, stamp
+from probe import Probe, content, entries, event, stamp
 
 from quad_bridge.lockstep import START_NS, VARIABLE
 from quad_bridge.virtual.line import Line
@@ -196,6 +196,10 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
     aircraft.flags('armed excitation_refused')
     ended('the STM32 refuses the excitation')
     aircraft.flags('armed')
+    begin()
+    other = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'attitude'}
+    aircraft.probe.publish('/excitation/segment', event(other, aircraft.now_ns))
+    ended('another node publishes /excitation/segment too')
     begin()
     aircraft.aux[2] = 1.0
     ended('abort switch')

@@ -84,7 +84,7 @@ NODES = {
     ),
     'excitation': Opens(
         ('/excitation/setpoint', '/excitation/segment', '/diagnostics'),
-        ('/imu/data', '/rc/in', '/battery', '/diagnostics'),
+        ('/imu/data', '/rc/in', '/battery', '/diagnostics', '/excitation/segment'),
         ('start', 'stop'),
     ),
     'identification': Opens(

@@ -363,6 +363,8 @@ def _trained(options: argparse.Namespace, record: Record) -> bool:
 
 def _app(options: argparse.Namespace) -> int:
     try:
+        import fcntl
+
         import uvicorn
 
         from quad_sysid.app.server import App
@@ -373,7 +375,15 @@ def _app(options: argparse.Namespace) -> int:
         raise BadInputError(str(options.folder), 'is no folder', remedy='name one with logs')
     if not 0 <= options.port <= 65535:
         raise BadInputError('--port', 'must be 0 to 65535', options.port)
-    app = App(options.folder, positive('--most-mb', options.most_mb))
+    most_mb = positive('--most-mb', options.most_mb)
+    try:  # until this process ends
+        fcntl.flock(os.open(options.folder, os.O_RDONLY), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:  # which would show the jobs of the other one as stopped
+        raise BadInputError(str(options.folder), 'has an app that runs',
+                            remedy='open the address that it printed, or end it') from error
+    except OSError:
+        pass  # a file system without locks
+    app = App(options.folder, most_mb)
     line = socket.socket()
     line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

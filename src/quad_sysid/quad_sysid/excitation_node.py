@@ -24,14 +24,15 @@ from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
+from quad_bridge.fresh import stale
 from quad_bridge.lockstep import clock, patience
 from quad_bridge.nodes import ros_node
-from quad_bridge.nodes.conversion import event_message
+from quad_bridge.nodes.conversion import age_s, event_message
 from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.managed_node import answered
-from quad_bridge.nodes.node_time import TimedNode
-from quad_bridge.nodes.qos import EVENT, STATE, STREAM
+from quad_bridge.nodes.node_time import TimedNode, nanoseconds
+from quad_bridge.nodes.qos import EVENT, HEARD, STATE, STREAM
 from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_sysid.bags.cdr import IMU, decode
 from quad_sysid.bags.orientation import euler_angles
@@ -75,6 +76,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
         self._segment = self.create_publisher(ParameterEvent, 'excitation/segment', STATE)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
+        self._announced: deque[int] = deque(maxlen=5)  # stamps, ns
         self._message = Vector3Stamped()
         self._message.header.frame_id = 'base_link'
         self._imu: bytes = b''
@@ -93,6 +95,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self.create_subscription(Joy, 'rc/in', self._on_rc, sensor)
         self.create_subscription(BatteryState, 'battery', self._on_battery, sensor)
         self.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, EVENT)
+        self.create_subscription(ParameterEvent, 'excitation/segment', self._on_segment, HEARD)
         self.create_service(Trigger, '~/start', self._on_start)
         self.create_service(Trigger, '~/stop', self._on_stop)
         period_s = 1.0 / settings.rate_hz
@@ -136,6 +139,12 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
                 pair.value for status in message.status for pair in status.values
                 if status.name.endswith(RELAY) and pair.key == FLAGS and REFUSED in pair.value
             ), '')
+
+    def _on_segment(self, message: Any) -> None:
+        """End where another node excites: it was not discovered yet when the later one began."""
+        is_own = nanoseconds(message.stamp) in self._announced
+        if not (is_own or stale(age_s(message.stamp, self.get_clock().now().nanoseconds))):
+            self._fail(f'another node publishes {self._segment.topic_name} too: end it first')
 
     def _readings(self, *, decode_angles: bool) -> Readings:
         """Latest values for the guard."""
@@ -213,6 +222,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         if tick.announcement is not None:
             self._began_s = clock().now_s()
             self._excites = tick.announcement['signal'] != 'none'
+            self._announced.append(stamp)
             self._segment.publish(event_message(tick.announcement, '/excitation', stamp))
         if tick.setpoint is not None:
             message = self._message
@@ -231,7 +241,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)
 
     def _fail(self, fault: str) -> None:
-        """End the excitation after a fault of the node."""
+        """End the excitation at once."""
         if self._player.active:
             self._cut(fault)
             self._on_state()

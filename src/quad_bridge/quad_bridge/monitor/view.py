@@ -38,6 +38,7 @@ class State:
     rate_hz: float = 0.0
     imu_at_s: float = -math.inf
     angles_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """NaN where they are not measured."""
     battery_v: float = math.nan
     battery_at_s: float = math.inf
     bag: str = ''
@@ -158,6 +159,8 @@ class State:
         if now_s - self.imu_at_s > STALE_S:
             return _line('angles', 'stale', f'no news for {now_s - self.imu_at_s:.0f} s')
         roll, pitch, yaw = self.angles_deg
+        if not math.isfinite(roll + pitch + yaw):
+            return _line('angles', '-', 'not measured')
         limit = self._value('angle_limit_deg')
         level = 'WARN' if max(abs(roll), abs(pitch)) > NEAR_LIMIT * limit else 'ok'
         text = f'roll {roll:+6.1f}  pitch {pitch:+6.1f}  yaw {yaw:+7.1f} deg'

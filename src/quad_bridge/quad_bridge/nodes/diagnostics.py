@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from quad_bridge.nodes.fence import LogLimiter
 from quad_bridge.status import Status
+
+FIGURE = re.compile(r'\d+(\.\d+)?')
+"""In the words of a state that lasts, such as for how long it has."""
 
 
 class Changes:
@@ -19,8 +23,9 @@ class Changes:
 
     def new(self, entries: list[Status], now_s: float) -> list[Status]:
         """Entries whose message changed and may be logged."""
-        changed = [e for e in entries if self._messages.get(e.name) != e.message]
-        self._messages.update({e.name: e.message for e in changed})
+        states = {e.name: FIGURE.sub('', e.message) for e in entries}
+        changed = [e for e in entries if self._messages.get(e.name) != states[e.name]]
+        self._messages |= states
         return [e for e in changed if self._limiter.allow(e.name + e.message, now_s)]
 
 

@@ -95,7 +95,8 @@ class Monitor(Node):  # type: ignore[misc]
         self._state.imu_at_s = time.monotonic()
         q, rate = message.orientation, message.angular_velocity
         roll, pitch, yaw = map(math.degrees, angles_of((q.w, q.x, q.y, q.z)))
-        self._state.angles_deg = roll, pitch, yaw
+        is_measured = message.orientation_covariance[0] >= 0.0  # REP-145: -1 where it is not
+        self._state.angles_deg = (roll, pitch, yaw) if is_measured else (math.nan,) * 3
         if self._role == 'train':
             self._pairs.rate(stamp, (rate.x, rate.y, rate.z)[AXES.index(self._axis)])
 
@@ -148,7 +149,7 @@ class Monitor(Node):  # type: ignore[misc]
 
     def _show(self) -> None:
         text = '\n'.join(self._state.lines(time.monotonic()))
-        self._write(f'{HOME}{text}\n\n{self._said}\n' if self._terminal else f'{text}\n\n')
+        self._write(f'{HOME}{text}\n\n{self._text}\n' if self._terminal else f'{text}\n\n')
 
     def _write(self, text: str) -> None:
         if not say(text):

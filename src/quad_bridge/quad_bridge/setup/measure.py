@@ -24,6 +24,7 @@ MIN_COVERED = 1.2  # least span in each axis, in radii of the compass: both ends
 ALONE = 0.5  # of the largest change: a second channel that moves by more is a mix
 MAX_OFF_G = 0.35  # one of six positions that is this far off the best board was not held
 SCALE = (0.8, 1.2)  # of a sound accelerometer: data sheets say 3 %
+HELD = 0.025  # weight of a position's direction, which a hand misses by degrees, to its length's
 MAX_OFFSET_M_S2 = 5.0  # half of gravity; more is a broken axis
 FEWEST_FIELDS = 50  # some seconds of a compass
 BATTERY_ON_V = 0.5
@@ -117,12 +118,11 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     """
     force = np.array([raw[name] for name in FORCES])
     place = GRAVITY_M_S2 * np.array(list(FORCES.values()))
-    # raw = offset + force_body @ A, A = turn / scale, by least squares
+    # as if held exactly: raw = offset + force_body @ A, A = turn / scale, by least squares
     solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
     offset, shaped = solved[0], solved[1:]
     scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
-    u, _, vt = np.linalg.svd(shaped * scale)
-    rotation = u @ vt
+    rotation = _nearest(shaped * scale)
     off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > MAX_OFF_G * GRAVITY_M_S2:
@@ -132,6 +132,7 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
             or np.abs(offset).max() > MAX_OFFSET_M_S2:
         numbers = f'offset {np.round(offset, 2)} m/s², scale {np.round(scale, 3)}'
         raise RefusedError(f'{numbers}: no sound accelerometer; hold it still in each position')
+    offset, scale, rotation = _of_length_g(force, place, offset, scale)
     square = np.round(rotation)
     near = np.linalg.norm(rotation - square) < np.sqrt(2.0) * SNAP_RAD
     if near and np.linalg.det(square) == 1.0:
@@ -141,6 +142,35 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
         values[f'accel.offset_{axis}'] = float(offset[i])
         values[f'accel.scale_{axis}'] = float(scale[i])
     return values
+
+
+def _nearest(shape: FloatArray) -> FloatArray:
+    u, _, vt = np.linalg.svd(shape)
+    nearest: FloatArray = u @ vt
+    return nearest
+
+
+def _of_length_g(
+    force: FloatArray, place: FloatArray, offset: FloatArray, scale: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Offset, scale and turn that make each force (6, 3) as long as gravity, however it is held.
+
+    The directions `place` count little: they say how the board is turned, and the difference of
+    two scales where it is turned by 45 degrees. By Gauss and Newton, from the values given.
+    """
+    for _ in range(20):
+        felt = (force - offset) * scale
+        rotation = _nearest(place.T @ felt)
+        length = np.linalg.norm(felt, axis=1, keepdims=True)
+        of_length = np.hstack([-felt * scale, felt * (force - offset)]) / length
+        of_direction = np.vstack([np.hstack([np.diag(-scale), np.diag(one)])
+                                  for one in force - offset])  # fmt: skip
+        missed = np.concatenate([length[:, 0] - GRAVITY_M_S2,
+                                 HELD * (felt - place @ rotation).ravel()])  # fmt: skip
+        slopes = np.vstack([of_length, HELD * of_direction])
+        step, *_ = np.linalg.lstsq(slopes, -missed, rcond=None)
+        offset, scale = offset + step[:3], scale + step[3:]
+    return offset, scale, _nearest(place.T @ ((force - offset) * scale))
 
 
 def compass(raw: FloatArray) -> Values:

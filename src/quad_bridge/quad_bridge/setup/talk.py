@@ -13,7 +13,7 @@ import numpy as np
 from quad_bridge.aircraft import ACCEPTED, outcome_of
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains.protocol import GainProtocol, What
-from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.gains.table import SET_UP, WIRE_NAMES
 from quad_bridge.motor_test import COMMAND, VALID_S, frame
 from quad_bridge.si import FloatArray
 from quad_bridge.wire import Decoder, Encoder
@@ -23,7 +23,9 @@ from quad_bridge.wire.signing import Signing
 CHANNELS = 9  # of a receiver; the raw ones follow the corrected ones
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05  # longest for all values, and between looks
 REST_S = 1.5  # over it the specific force of a position is averaged
+FEWEST_CYCLES = 10  # of them
 STILL_RAD_S = 0.15  # range of the rates over REST_S: a hand that holds it still stays below
+STEADY_M_S2 = 1.0  # between the halves of REST_S: a steady turn of 0.14 rad/s has no such range
 
 
 class Talk:
@@ -39,6 +41,8 @@ class Talk:
         self._queue: list[f.Frame] = []
         self._acks: list[int] = []
         self.texts: list[str] = []
+        self.kept: Mapping[str, float] = {}
+        """All parameters as they were last read back, also where a later write failed."""
         self.cycle: f.Cycle | None = None
         self.channels: tuple[int, ...] = ()
         self.failsafe = True
@@ -99,19 +103,31 @@ class Talk:
     def read(self) -> None:
         """Wait for the firmware and its parameters. Raises RefusedError."""
         self._until(lambda: bool(self.values) and self.cycle is not None, READ_S,
-                    'no firmware with QUAD_GAINS answers: check port, baud and power')  # fmt: skip
+                    lambda: f'no firmware with QUAD_GAINS answers: {self._remedy()}')
+        missing = [row.name for row in SET_UP if row.name not in self.values]
+        if missing:
+            raise RefusedError(f'{missing[0]}: this firmware does not know it; flash a newer one')
+        self.kept = self.values
+
+    @property
+    def armed(self) -> bool:
+        """Whether its last control cycle was armed."""
+        return self.cycle is not None and bool(self.cycle.flags & f.Flag.ARMED)
 
     def write(self, values: Mapping[str, float]) -> None:
         """Write a set, read it back, keep it. Raises RefusedError where that fails."""
         self._protocol.events.clear()
         self._protocol.write({WIRE_NAMES[name]: value for name, value in values.items()}, 0)
         for wanted in (What.COMMITTED, What.CONFIRMED):
-            self._until(lambda: bool(self._protocol.events), WRITE_S, 'no answer to the set')
+            self._until(lambda: bool(self._protocol.events), WRITE_S,
+                        lambda: 'no answer to the set')
             event = self._protocol.events.pop(0)
             if event.what is not wanted:
-                raise RefusedError(f'not written: {event.reason or event.what.value}')
+                remedy = '; it is armed: disarm it first' if self.armed else ''
+                raise RefusedError(f'not written: {event.reason or event.what.value}{remedy}')
             if wanted is What.COMMITTED:
                 self._protocol.confirm()
+        self.kept = self.values
 
     def pulses(self) -> tuple[float, ...]:
         """The receiver's pulses as they come, µs, by its own channels."""
@@ -128,11 +144,13 @@ class Talk:
         self.wait(0.5)
         self._forces, self._rates = [], []
         self.wait(REST_S)
-        if not self._forces:
+        if len(self._forces) < FEWEST_CYCLES:
             raise RefusedError('no control cycles are received')
-        if float(np.ptp(np.array(self._rates), axis=0).max()) > STILL_RAD_S:
+        forces, half = np.array(self._forces), len(self._forces) // 2
+        turned = np.linalg.norm(forces[:half].mean(axis=0) - forces[half:].mean(axis=0))
+        if np.ptp(np.array(self._rates), axis=0).max() > STILL_RAD_S or turned > STEADY_M_S2:
             raise RefusedError('it moved: hold it still')
-        mean: FloatArray = np.mean(self._forces, axis=0)
+        mean: FloatArray = forces.mean(axis=0)
         return mean
 
     def fields(self, seconds: float) -> FloatArray:
@@ -157,10 +175,18 @@ class Talk:
         if not self._acks:
             raise RefusedError('no answer to MAV_CMD_DO_MOTOR_TEST')
 
-    def _until(self, done: Callable[[], bool], seconds: float, words: str) -> None:
+    def _until(self, done: Callable[[], bool], seconds: float, words: Callable[[], str]) -> None:
         remaining = round(seconds / STEP_S)
         while not done() and remaining > 0:
             self.wait(STEP_S)
             remaining -= 1
         if not done():
-            raise RefusedError(words)
+            raise RefusedError(words())
+
+    def _remedy(self) -> str:
+        counts = self._decoder.counts
+        if counts.unverified or counts.forged:
+            return 'it signs its frames, and answers only who has its key: give that by --key'
+        if counts.unsigned:
+            return 'it does not sign: give it the key, or leave --key out'
+        return 'check port, baud and power'

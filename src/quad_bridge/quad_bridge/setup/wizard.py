@@ -23,11 +23,10 @@ from quad_bridge.errors import BadInputError, RefusedError
 from quad_bridge.gains.history import default_folder
 from quad_bridge.gains.table import ROWS, SET_UP
 from quad_bridge.key_file import signing_from
-from quad_bridge.link.port import SerialPort
+from quad_bridge.link.port import SerialPort, over_network
 from quad_bridge.motor_test import MAX_THROTTLE, USUAL_THROTTLE
 from quad_bridge.setup import measure
 from quad_bridge.setup.talk import Talk
-from quad_bridge.wire.frames import Flag
 
 FILE = 'setup.yaml'
 NAMES = tuple(row.name for row in SET_UP)
@@ -57,12 +56,8 @@ class Wizard:
     def run(self, only: Sequence[str] = ()) -> dict[str, float]:
         """Ask for each step, or only for these; what has been changed."""
         self._talk.read()
-        cycle = self._talk.cycle
-        if cycle is not None and cycle.flags & Flag.ARMED:
+        if self._talk.armed:
             raise RefusedError('it is armed: disarm it first')
-        missing = [name for name in NAMES if name not in self._talk.values]
-        if missing:
-            raise RefusedError(f'{missing[0]}: this firmware does not know it; flash a newer one')
         self._tell(f'aircraft {self._talk.aircraft}')
         for name, words, step in self._steps():
             if only and name not in only:
@@ -87,6 +82,7 @@ class Wizard:
         while True:
             try:
                 values = step()
+                _refuse_beyond_limits(values)
             except RefusedError as error:
                 self._tell(f'  {error}')
                 if self._yes('  again'):
@@ -133,14 +129,17 @@ class Wizard:
             values |= measure.stick(name, rest, *pulses)
         self._ready('let the sticks go, throttle down')
         off = self._talk.pulses()
-        for name, words in (('kill', 'kill switch'), ('arm', 'arming switch'),
-                            ('hold', 'switch of the height mode')):  # fmt: skip
-            if name != 'kill' and not self._yes(f'  is there a {words}'):
+        self._ready('kill switch on, and leave it on')
+        killed = self._talk.pulses()  # else the arming switch arms an aircraft that is set up
+        values |= measure.switch('kill', off, killed)
+        for name, words in (('arm', 'arming switch'), ('hold', 'switch of the height mode')):
+            if not self._yes(f'  is there a {words}'):
                 values[f'receiver.{name}_channel'] = 0.0
                 continue
             self._ready(f'{words} on')
-            values |= measure.switch(name, off, self._talk.pulses())
+            values |= measure.switch(name, killed, self._talk.pulses())
             self._ready(f'{words} off again')
+        self._ready('kill switch off again')
         if len({value for name, value in values.items() if name.endswith('_channel') and value}
                ) < sum(bool(value) for name, value in values.items() if name.endswith('_channel')):
             raise RefusedError('two of them are on one channel')
@@ -198,32 +197,52 @@ class Wizard:
 
 
 def written(talk: Talk, wanted: Mapping[str, float]) -> dict[str, float]:
-    """Write what differs, inside the firmware's limits and as the wire carries it; what that was.
+    """Write what differs, as the wire carries it; what that was.
 
     Where nothing differs all is written: a firmware that could not read what it had kept has begun
     with the table's values, and flies none, equal ones neither, before a set is confirmed.
     """
-    bounded = {}
-    for name, value in wanted.items():
-        low, high = ROWS[name].limits or (value, value)
-        bounded[name] = float(np.float32(min(max(value, low), high)))
-    changed = {name: value for name, value in bounded.items() if value != talk.values.get(name)}
-    if bounded:
-        talk.write(changed or bounded)
+    carried = {name: float(np.float32(value)) for name, value in wanted.items()}
+    changed = {name: value for name, value in carried.items() if value != talk.values.get(name)}
+    if carried:
+        talk.write(changed or carried)
     return changed
 
 
+def _refuse_beyond_limits(values: Mapping[str, float]) -> None:
+    for name, value in values.items():
+        low, high = ROWS[name].limits or (-math.inf, math.inf)
+        if not low <= value <= high:
+            raise RefusedError(f'{name}: {value:.4g} {ROWS[name].unit} lies outside {low:g} to '
+                               f'{high:g}: measure it again')  # fmt: skip
+
+
 def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
-    """Write the aircraft's file whole. Raises BadInputError."""
+    """Write the aircraft's file whole; one with other values stays beside it.
+
+    A firmware that could not read what it had kept has the table's values: the earlier file is
+    the only place that still has the aircraft's own. Raises BadInputError.
+    """
+    set_up = {name: float(values[name]) for name in NAMES}
     entry = {'aircraft': aircraft, 'written': f'{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}',
-             'set_up': {name: float(values[name]) for name in NAMES}}  # fmt: skip
+             'set_up': set_up}  # fmt: skip
     fresh = path.with_name(f'.{path.name}.new')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh.write_text(yaml.safe_dump(entry, sort_keys=False), encoding='utf-8')
+        if path.is_file() and not _holds(path, set_up):
+            made = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
+            path.replace(path.with_name(f'{path.stem}_{made:%Y%m%dT%H%M%S%fZ}{path.suffix}'))
         fresh.replace(path)
     except OSError as error:
         raise BadInputError(str(path), f'cannot be written: {error.strerror}') from error
+
+
+def _holds(path: Path, set_up: Mapping[str, float]) -> bool:
+    try:
+        return load(path) == set_up
+    except BadInputError:  # changed by hand, or of another version
+        return False
 
 
 def load(path: Path) -> dict[str, float]:
@@ -309,15 +328,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _set_up(args: argparse.Namespace) -> int:
     restored = load(args.restore) if args.restore is not None else None
+    if over_network(args.port) and args.key is None:
+        raise BadInputError('--key', 'is required where the port leads to another computer',
+                            args.port, "run setup on the aircraft's own computer, or make a key")
     line = _Line(args.port, args.baud)
     talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
-        if restored is None:
-            Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
-        else:
-            talk.read()
-            say(f'{len(written(talk, restored))} values written\n')
-        path = (args.folder or default_folder()) / talk.aircraft / FILE
-        save(path, talk.aircraft, talk.values)
+        talk.read()
+        path, read = (args.folder or default_folder()) / talk.aircraft / FILE, talk.kept
+        try:
+            if restored is None:
+                Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
+            else:
+                say(f'{len(written(talk, restored))} values written\n')
+        finally:  # also of a wizard that ends half-way: its steps are in the aircraft already
+            if talk.kept is not read or not path.is_file():
+                save(path, talk.aircraft, talk.kept)
         say(f'{path}\n')
     return 0

@@ -23,7 +23,10 @@ async function listFiles() {
   for (const file of files) {
     const item = document.createElement('li'), label = document.createElement('label');
     const box = document.createElement('input'); box.type = 'checkbox'; box.checked = chosen.has(file.path);
-    box.onchange = () => { if (box.checked) chosen.add(file.path); else chosen.delete(file.path); };
+    box.onchange = () => {
+      if (box.checked) chosen.add(file.path); else chosen.delete(file.path);
+      $('train').value = $('validate').value = ''; tell(); // they were those of other flights
+    };
     label.append(box, ' ' + file.path + ' '); const more = document.createElement('span');
     more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
     label.append(more); item.append(label); list.append(item);
@@ -59,29 +62,31 @@ const start = (kind, given) => guarded(async () => {
   const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
   shown = job.number; known = ''; say(job.title + ' was put into the queue'); await listJobs();
 });
+const rows = new Map(); // the line of each job: never made anew, or a press and the keyboard's place on it were lost
+function row(job) {
+  const item = document.createElement('li'), open = document.createElement('button'), state = document.createElement('span');
+  open.textContent = job.title; open.onclick = () => { shown = job.number; known = ''; listJobs(); };
+  state.className = 'small'; item.append(open, state);
+  const stop = document.createElement('button'); stop.textContent = 'stop';
+  stop.setAttribute('aria-label', 'stop ' + job.title);
+  stop.onclick = guarded(async () => { await ask('/jobs/' + job.number + '/stop', {method: 'POST'}); await listJobs(); });
+  const bar = document.createElement('progress'); bar.setAttribute('aria-label', 'progress of ' + job.title);
+  return {item, state, stop, bar};
+}
 async function listJobs() {
-  const jobs = await (await ask('/jobs')).json(), list = $('jobs'); list.replaceChildren();
+  const jobs = await (await ask('/jobs')).json();
   if (!shown && jobs.length) shown = jobs[0].number; // a new tab begins with the latest
-  for (const job of jobs) {
-    const item = document.createElement('li'), open = document.createElement('button');
-    open.textContent = job.title; open.onclick = () => { shown = job.number; known = ''; listJobs(); };
-    const state = document.createElement('span'); state.className = 'small';
+  for (const [number, {item}] of rows) if (!jobs.some(job => job.number === number)) { item.remove(); rows.delete(number); }
+  for (const job of [...jobs].reverse()) {
+    if (!rows.has(job.number)) { rows.set(job.number, row(job)); $('jobs').prepend(rows.get(job.number).item); }
+    const {item, state, stop, bar} = rows.get(job.number);
     state.textContent = ' ' + job.state + (job.seconds ? ', ' + job.seconds.toFixed(0) + ' s' : '')
       + (job.left === null ? '' : job.left > 0 ? ', about ' + job.left.toFixed(0) + ' s left' : ', longer than usual')
-      + (job.doing && job.state !== 'done' ? ': ' + job.doing : '');
-    item.append(open, state);
-    if (job.state === 'running' || job.state === 'waiting') {
-      const stop = document.createElement('button'); stop.textContent = 'stop';
-      stop.setAttribute('aria-label', 'stop ' + job.title);
-      stop.onclick = guarded(async () => { await ask('/jobs/' + job.number + '/stop', {method: 'POST'}); await listJobs(); });
-      item.append(' ', stop);
-      if (job.state === 'running') {
-        const bar = document.createElement('progress'); bar.setAttribute('aria-label', 'progress of ' + job.title);
-        if (job.left > 0) bar.value = job.seconds / (job.seconds + job.left);
-        item.append(bar);
-      }
+      + (job.doing && job.state !== 'done' ? ': ' + job.doing : '') + ' ';
+    for (const [part, wanted] of [[stop, ['running', 'waiting']], [bar, ['running']]]) {
+      if (!wanted.includes(job.state)) part.remove(); else if (!part.isConnected) item.append(part);
     }
-    list.append(item);
+    if (job.left > 0) bar.value = job.seconds / (job.seconds + job.left); else bar.removeAttribute('value');
     if (job.number === shown) await show(job);
   }
 }

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.app.folder import RefusedError, inside, is_bag
+from quad_sysid.app.jobs import OWN
 from quad_sysid.axes import NAMES
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
@@ -33,7 +34,7 @@ def commands(folder: Path, request: Mapping[str, Any],
              promised: Collection[str] = ()) -> list[Command]:
     """Title, program and arguments of what the page asks for, one after the other.
 
-    Only what stands here can be started; @ is the job's own folder. A log that is to be
+    Only what stands here can be started; OWN is the job's own folder. A log that is to be
     identified is made a bag first. promised: paths that other jobs will write. Raises
     RefusedError.
     """
@@ -70,7 +71,7 @@ def _check_log(path: Path) -> None:
 
 def _look(_: Free, paths: Sequence[Path], __: Mapping[str, Any]) -> Command:
     title = paths[0].name if len(paths) == 1 else f'{len(paths)} flights'
-    return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', '@look.html']
+    return f'look at {title}', SYSID, ['look', *map(str, paths), '--out', f'{OWN}look.html']
 
 
 def _import(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:
@@ -127,7 +128,7 @@ def _identify(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Com
     axis = request.get('axis', 'all')
     if axis not in NAMES:
         raise RefusedError(f'axis must be one of {", ".join(NAMES)}')
-    arguments = ['identify', *map(str, paths), '--axis', str(axis), '--out', '@result']
+    arguments = ['identify', *map(str, paths), '--axis', str(axis), '--out', f'{OWN}result']
     for option in ('train', 'validate'):
         span = request.get(option)
         if span:
@@ -158,7 +159,7 @@ KINDS: dict[str, Callable[[Free, Sequence[Path], Mapping[str, Any]], Command]] =
     'look': _look, 'import': _import, 'identify': _identify, 'compare': _compare,
     'export': _export, 'schedule': _schedule,
     'inspect': lambda _, paths, __: (f'inspect {paths[0].name}', SYSID, [
-        'inspect', str(paths[0]), '--out', '@inspect.html']),
+        'inspect', str(paths[0]), '--out', f'{OWN}inspect.html']),
     'columns': lambda _, paths, __: (f'columns of {paths[0].name}', SYSID, [
         'import', str(paths[0]), '--json']),
 }
@@ -208,7 +209,8 @@ def _checked(columns: object) -> list[list[str]]:
     rows: list[Any] = columns if isinstance(columns, list) else [None]
     for row in rows:
         if not (isinstance(row, list) and len(row) == 3
-                and all(isinstance(part, str) for part in row) and UNIT.fullmatch(row[2])):
+                and all(isinstance(part, str) and OWN not in part for part in row)
+                and UNIT.fullmatch(row[2])):
             raise RefusedError('a column needs its name, a role of the menu and a unit')
     return rows
 

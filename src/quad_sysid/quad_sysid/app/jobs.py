@@ -36,6 +36,8 @@ STOP_S = 5.0
 MOST_TEXT = 200_000
 """Characters of a job's output that are shown."""
 OUTPUT = 'output.txt'
+OWN = '\0'
+"""Begins an argument that lies in the job's own folder; no word of a command line can hold it."""
 ESCAPES = re.compile(r'\x1b\[[0-9;]*[A-Za-z]')
 STATES = {0: 'done', NOT_ANSWERED: 'no answer'}
 PROGRAMS = {'quad-sysid': 'quad_sysid.start', 'quad-tune': 'quad_tuning.start'}
@@ -129,7 +131,7 @@ class Queue:
                 number += 1
             self._last = number
             folder.mkdir(parents=True)
-            placed = tuple(str(folder / a.removeprefix('@')) if a.startswith('@') else a
+            placed = tuple(str(folder / a.removeprefix(OWN)) if a.startswith(OWN) else a
                            for a in arguments)
             job = Job(number, escaped(title), program, placed, folder, after=after)
             self._jobs[number] = job
@@ -201,6 +203,7 @@ class Queue:
                 except OSError as error:
                     job.state, job.ended = 'failed', time.monotonic()
                     job.say(f'{error.filename}: {error.strerror}; check the folder and the disk')
+                    job.keep()
                     os.close(ours)
                     continue
                 finally:

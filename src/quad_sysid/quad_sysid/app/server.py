@@ -37,7 +37,8 @@ from quad_sysid.app.jobs import Job, Queue
 from quad_sysid.files import escaped, unfinished
 from quad_sysid.report.style import SHEET
 
-COOKIE = 'quad_sysid_token'
+COOKIE = 'quad_sysid_token_{}'
+"""With the port: a browser sends the cookies of all ports of a host, those of other apps too."""
 MOST_REQUEST = 100_000
 """Bytes of a request that is no upload."""
 HERE = Path(__file__).parent
@@ -89,7 +90,8 @@ class App:
                 return Response(refused, 403, media_type='text/plain')
             if request.query_params.get('token'):  # from now on by the cookie
                 answer: Response = responses.RedirectResponse(request.url.path, 303)
-                answer.set_cookie(COOKIE, self.token, httponly=True, samesite='strict')
+                answer.set_cookie(COOKIE.format(request.url.port), self.token, httponly=True,
+                                  samesite='strict')
                 return _sealed(answer)
             try:
                 return _sealed(await handler(request))
@@ -115,7 +117,7 @@ class App:
             return 'a request of another page'
         if request.method != 'GET' and site not in (None, 'same-origin'):
             return 'a request of another page'
-        token = request.query_params.get('token') or request.cookies.get(COOKIE, '')
+        token = request.query_params.get('token') or request.cookies.get(COOKIE.format(port), '')
         if not hmac.compare_digest(token.encode(), self.token.encode()):
             return 'open the address that quad-sysid app printed, with its token'
         return ''
