@@ -264,10 +264,5 @@ class Autopilot:
         where = (len(names), names.index(name))
         return mav.MAVLink_param_value_message(name.encode(), number, kind, *where)
 
-    def _integer(self, number: float) -> int:
-        if self.kind.bytewise:
-            return struct.unpack('<i', struct.pack('<f', number))[0]
-        return round(number)
-
 
 ID = {message.msgname: number for number, message in mav.mavlink_map.items()} | {'ESC_STATUS': 291}

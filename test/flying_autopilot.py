@@ -401,7 +401,9 @@ class Flying(Autopilot):
             return
         if self.px4 and message.param_type != (6 if isinstance(old, int) else 9):
             return  # another type gets no answer
-        new = self._integer(value) if isinstance(old, int) else value
+        new = value
+        if isinstance(old, int):
+            new = int(np.float32(value).view(np.int32)) if self.px4 else round(value)
         self.parameters[name] = new
         self.written.append((name, new))
         yield self.value(name)

@@ -48,7 +48,7 @@ class Cockpit(Updated):
 
     def __init__(self, name, folder, *, gains=True, excitation=True, aircraft=None):
         self.settings, self.allow = GainSettings(folder=folder), (gains, excitation)
-        self.cycles, self.commands = [], []
+        self.cycles = []
         super().__init__(aircraft or Flying(KINDS[name]), Link(), host0_ns=HOST0_NS)
 
     def connect(self, link):

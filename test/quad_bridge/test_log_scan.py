@@ -60,10 +60,6 @@ def made(path, n=400, *, closed=True, split_s=0.0):
     return ledger
 
 
-def plain(messages):
-    return [(m.topic.name, m.time_ns, m.data) for m in messages]
-
-
 def records(data):
     """(begin, end) of all top-level records."""
     place = len(MAGIC)
@@ -179,7 +175,7 @@ KINDS = [('none', True), ('none', False), ('zstd', False), ('lz4', False)]
 
 def read(data):
     damaged = McapScan(bytes(data))
-    return damaged, plain(damaged.messages())
+    return damaged, [(m.topic.name, m.time_ns, m.data) for m in damaged.messages()]
 
 
 def flipped(data, place, mask):
