@@ -44,7 +44,7 @@ class Bench(Updated):
         self.endpoint = endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = GainSettings(folder=folder, **settings)
         self.cycle, self.peak_rad = None, 0.0
-        super().__init__(self.endpoint, host0_ns=1_000_000_000)
+        super().__init__(self.endpoint)
 
     @property
     def now_s(self):

@@ -33,13 +33,12 @@ class Board:
         self.cycle = 0
         self.motors = ()
 
-    def tell(self, *frames, after_us=0):
-        """Frames to the board `after_us` after the coming cycle's time; its answers."""
-        return self.feed(b''.join(self.encoder.encode(x) for x in frames), after_us=after_us)
+    def tell(self, *frames):
+        """Frames to the board at the coming cycle's time; its answers."""
+        return self.feed(b''.join(self.encoder.encode(x) for x in frames))
 
-    def feed(self, data, *, after_us=0):
-        now_us = self.cycle * CYCLE_US + after_us
-        return self.decoder.feed(self.firmware.receive(data, now_us))
+    def feed(self, data):
+        return self.decoder.feed(self.firmware.receive(data, self.cycle * CYCLE_US))
 
     def run(
         self, cycles=1, *, kill=False, failsafe=False, battery_v=12.0, sample=LEVEL, throttle=0.5,

@@ -34,9 +34,9 @@ def steps(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
     return np.repeat(rng.choice([-size, size], count // 25), 25)
 
 
-def excited_flight(effects: Effects, mount: str = 'hover'):
+def excited_flight(effects: Effects):
     """All three axes are moved by control steps, the throttle by a stick."""
-    profile = without_noise(Profile(mount=mount, effects=effects))
+    profile = without_noise(Profile(mount='hover', effects=effects))
     aircraft = Aircraft(profile, seed=3)
     rng = np.random.default_rng(5)
     given = np.zeros((1000, INPUTS))
