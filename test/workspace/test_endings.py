@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from node_process import PROGRAMS, SIGNAL_AT_IMPORT, Started, node_command, program
-from probe import entries, event
+from probe import event
 
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = {*PROGRAMS} - {'virtual_stm32', 'main'}
@@ -103,10 +103,10 @@ def run(bags, folder, wanted, progress):
 session.run = run
 """
     process = begin('identification', compute)
-    told = probe.listen('/diagnostics')
+    probe.listen('/diagnostics')
     probe.publish('/logger/bag', event({'path': str(Path('bag').resolve()), 'state': 'complete'}))
     name = 'identification: identification'
     line = 'identifying: roll: what is missing'
-    probe.until(lambda: getattr(entries(told).get(name), 'message', '') == line)
+    probe.until(lambda: probe.diagnostics(name) == line)
     process.send(INT)
     ended(process)
