@@ -6,7 +6,7 @@ with their content, how TIMESYNC is answered, and how parameters are encoded. `A
 `cycle` and `receive`, as the scripted flight controller has, so that it stands in a `Line` or
 behind a `Port`:
 
-    line = Line(Autopilot(PX4), host0_ns=HOST0_NS)
+    line = Line(Autopilot(PX4))
     line.fly(6.0); line.out
     Autopilot(ARDUPILOT, timesync_s=0.04, only=('ATTITUDE',), boot_us=2**32)
 """
@@ -40,7 +40,6 @@ class Kind:
     """Messages that it streams by itself, Hz."""
     most_hz: Mapping[str, float] = field(default_factory=dict)
     """Messages that SET_MESSAGE_INTERVAL is obeyed for, and up to which rate."""
-    sender: tuple[int, int] = (1, 1)
     timesync_s: float | None = 0.0002
     """How long the answer to TIMESYNC takes; None: there is none."""
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -113,7 +112,7 @@ class Autopilot:
         self.kind = replace(kind, **changed)
         self.boot_us, self.step = boot_us, 0
         self.has = lambda name: only is None or name in only
-        self.mav = mav.MAVLink(None, *self.kind.sender)
+        self.mav = mav.MAVLink(None, 1, 1)
         self.ears = mav.MAVLink(None)
         self.ears.robust_parsing = True
         self.parameters = dict(self.kind.parameters)
@@ -263,11 +262,6 @@ class Autopilot:
                 (number,) = struct.unpack('<f', struct.pack('<i', value))
         where = (len(names), names.index(name))
         return mav.MAVLink_param_value_message(name.encode(), number, kind, *where)
-
-    def _integer(self, number: float) -> int:
-        if self.kind.bytewise:
-            return struct.unpack('<i', struct.pack('<f', number))[0]
-        return round(number)
 
 
 ID = {message.msgname: number for number, message in mav.mavlink_map.items()} | {'ESC_STATUS': 291}

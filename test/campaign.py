@@ -11,8 +11,8 @@ class Turns:
     however slow the test is beside the aircraft.
     """
 
-    def __init__(self, crew: Any, probe: Any, turn_s: float = 0.4) -> None:
-        self.crew, self.probe, self.turn_s = crew, probe, turn_s
+    def __init__(self, crew: Any, probe: Any) -> None:
+        self.crew, self.probe = crew, probe
         crew.clock.hold()
 
     def rest(self, seconds: float) -> None:
@@ -29,7 +29,7 @@ class Turns:
         def met() -> object:
             found = condition()
             if not found:
-                self.rest(self.turn_s)
+                self.rest(0.4)
             return found
 
         self.probe.until(met, what)

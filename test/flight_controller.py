@@ -68,10 +68,9 @@ class FlightController:
     """The flight controller's script; all attributes may be changed while it runs."""
 
     def __init__(
-        self, *, gyro=(None, 0.25, 0.5), unanswered=(),
-        also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: (), number=0,
-        bits=64) -> None:
-        self.unanswered = unanswered
+        self, *, gyro=(None, 0.25, 0.5), number=0, bits=64,
+        also: Callable[[FlightController], Iterable[f.Frame]] = lambda _: ()) -> None:
+        self.unanswered = ()
         """Kinds of frames that it does not answer."""
         self.gyro, self.flags = gyro, int(f.Flag.ARMED)
         self.also = also
@@ -214,11 +213,11 @@ class Store(ctypes.Structure):
         shown, here = quad_gains('shown'), self.here
         return [f.ParamValue(NAMES[k], shown(here, k), len(NAMES), k) for k in wanted]
 
-    def pass_by(self, seconds, now_us, oldest_us=2_500_000):
+    def pass_by(self, seconds, now_us):
         """Time goes by where it stands still at `now_us`: what lies in it moves."""
         for name in ('ticked_us', 'heard_us'):
             moved = getattr(self, name) - round(1e6 * seconds)
-            setattr(self, name, max(moved, now_us - oldest_us))
+            setattr(self, name, max(moved, now_us - 2_500_000))
 
     def tick(self, now_us, *, flying=True):
         """Once a cycle: the state to send where the firmware has reverted by itself."""
@@ -273,11 +272,11 @@ def explore(begin, most, rest_every):
 class Direction:
     """One way of a line: `fault` acts on frames, `noise` flips a share of the bytes."""
 
-    def __init__(self, sender, seed=1):
+    def __init__(self, sender):
         self.fault: Callable[[f.Frame], list[f.Frame]] | None = None
         self.cut = False
         self.noise = 0.0
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(1)
         self._decoder, self._encoder = Decoder(), Encoder(*sender)
 
     def carry(self, data):
@@ -299,16 +298,16 @@ class Line:
     What the node does with events is done by `handle`: here the gains' protocol takes its part.
     """
 
-    def __init__(self, controller=None, link=None, *, host0_ns=HOST0_NS):
+    def __init__(self, controller=None):
         self.controller = FlightController() if controller is None else controller
         self.up, self.down = Direction((1, 191)), Direction((1, 1))
         self.out = []
         """What the link has stamped."""
         self.described: Described | None = None
-        self.steps, self.host0_ns = 0, host0_ns
+        self.steps = 0
         self.delay, self._way = 0, deque()
         """Cycles that each cycle is on its way; answers are not."""
-        self.connect(Link() if link is None else link)
+        self.connect(Link())
 
     def connect(self, link):
         """Another bridge takes the place of the first."""
@@ -326,7 +325,7 @@ class Line:
 
     @property
     def now_ns(self):
-        return self.host0_ns + self.since_ns
+        return HOST0_NS + self.since_ns
 
     def fly(self, seconds):
         self.run(round(seconds / CYCLE_S))
@@ -408,7 +407,7 @@ class Line:
     def errors_ms(self):
         """Of the cycles that number themselves: stamp minus the time at which each began."""
         off_ms = [
-            1e-6 * (item.stamp_ns - self.host0_ns) - 4.0 * round(1e3 * item.frame.gyro[0])
+            1e-6 * (item.stamp_ns - HOST0_NS) - 4.0 * round(1e3 * item.frame.gyro[0])
             for item in self.out
             if isinstance(item.frame, f.Cycle)
         ]

@@ -34,6 +34,18 @@ pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
 ensemble.build = partial(ensemble.build, count=ensemble.DRAWS // 4)
 """
 """What the fixture `quickly` does, for another process: run before it begins."""
+SIGNAL_AT_IMPORT = """
+import importlib.abc, os, sys
+class Signal(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == {0!r}:
+            try:
+                os.kill(os.getpid(), {1})
+            except KeyboardInterrupt as error:
+                raise ImportError('an import that makes another error of it') from error
+sys.meta_path.insert(0, Signal())
+"""
+"""Run before a program begins: it gets this signal as it imports this module."""
 GRACE_S = 30.0
 """So long may a process take to end before it is killed; measures nothing."""
 

@@ -13,15 +13,16 @@ import os
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 MOST = 1 << 17
-"""Bytes of a request or an answer."""
+"""Bytes of a request."""
+NUMBER = struct.Struct('i')
 ONE_THREAD = {'OPENBLAS_NUM_THREADS': '1'}
 """A thread does not survive a fork. Nor may one begin after it: the tracing library below rclpy
 cancels its own threads at exit, by numbers that a new thread of the fork may bear, and OpenBLAS
@@ -31,14 +32,27 @@ then waits for ever for the one it had."""
 class Forked:
     """As `subprocess.Popen` for a process that the nursery has forked."""
 
-    def __init__(self, nursery: Nursery, pid: int) -> None:
-        self._nursery, self.pid = nursery, pid
+    def __init__(self, told: int) -> None:
+        """`told`: where its number comes, and its status when it has ended."""
+        self._told, self._status = told, None
+        self.pid = self._hear()
+
+    def _hear(self) -> int:
+        data = os.read(self._told, NUMBER.size)
+        assert data, 'the nursery has ended'
+        return int(NUMBER.unpack(data)[0])
+
+    def _ended(self, wait_s: float) -> int | None:
+        if self._status is None and select.select([self._told], [], [], wait_s)[0]:
+            self._status = self._hear()
+            os.close(self._told)
+        return self._status
 
     def poll(self) -> int | None:
-        return self._nursery.status_of(self.pid, 0.0)
+        return self._ended(0.0)
 
     def wait(self, timeout: float) -> int:
-        status = self._nursery.status_of(self.pid, timeout)
+        status = self._ended(timeout)
         if status is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout)
         return status
@@ -62,7 +76,6 @@ class Nursery:
             env={**os.environ, **ONE_THREAD},
         )  # fmt: skip
         there.close()
-        self._ended: dict[int, int] = {}
 
     def fork(
         self, modules: Sequence[str], code: str, words: Sequence[str], streams: Sequence[int],
@@ -71,28 +84,10 @@ class Nursery:
         """`streams`: descriptors for its stdin, stdout and stderr."""
         about = {'modules': modules, 'code': code, 'words': words, 'cwd': str(cwd or Path.cwd()),
                  'env': {**(os.environ if env is None else env), **ONE_THREAD}}  # fmt: skip
-        socket.send_fds(self._line, [json.dumps(about).encode()], list(streams))
-        while (begun := self._hear()) is None:
-            pass
-        return Forked(self, begun)
-
-    def status_of(self, pid: int, wait_s: float) -> int | None:
-        end_s = time.monotonic() + wait_s
-        while pid not in self._ended:
-            left_s = max(end_s - time.monotonic(), 0.0)
-            if not select.select([self._line], [], [], left_s)[0]:
-                return None
-            self._hear()
-        return self._ended[pid]
-
-    def _hear(self) -> int | None:
-        """The number of a process that has begun; of those that have ended the status is kept."""
-        data = self._line.recv(MOST)
-        assert data, 'the nursery has ended'
-        told = json.loads(data)
-        if 'ended' in told:
-            self._ended[told['ended']] = told['status']
-        return told.get('begun')
+        heard, told = os.pipe()
+        socket.send_fds(self._line, [json.dumps(about).encode()], [*streams, told])
+        os.close(told)
+        return Forked(heard)
 
     def close(self) -> None:
         self._line.close()
@@ -101,50 +96,33 @@ class Nursery:
 
 def serve(line: socket.socket) -> dict[str, Any]:
     """Fork as asked for. Returns in the new process, with what it is to be; ends with the line."""
-    heard, wake = os.pipe()
-    os.set_blocking(wake, False)
-    signal.set_wakeup_fd(wake)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's is for who started it
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
-        ready, _, _ = select.select([line, heard], [], [])
-        if heard in ready:
-            os.read(heard, 4096)
-            for pid, status in iter(next_ended, None):
-                line.send(json.dumps({'ended': pid, 'status': status}).encode())
-        if line in ready:
-            data, streams, *_ = socket.recv_fds(line, MOST, 3)
-            if not data:
-                os._exit(0)
-            about = json.loads(data)
-            for module in about['modules']:
-                importlib.import_module(module)
-            gc.freeze()  # no collection of a fork touches, and so copies, what was imported
+        data, given, *_ = socket.recv_fds(line, MOST, 4)
+        if not data:
+            os._exit(0)
+        about = json.loads(data)
+        for module in about['modules']:
+            importlib.import_module(module)
+        gc.freeze()  # no collection of a fork touches, and so copies, what was imported
+        if not os.fork():  # one that waits for it, and says how it has ended
+            *streams, told = given
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             if not (pid := os.fork()):
-                take_over(streams, [line.detach(), heard, wake])
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+                for number, stream in enumerate(streams):
+                    os.dup2(stream, number)
+                for number in (*given, line.detach()):
+                    os.close(number)
                 return about
-            line.send(json.dumps({'begun': pid}).encode())
             for stream in streams:
                 os.close(stream)
-
-
-def take_over(streams: Sequence[int], others: Sequence[int]) -> None:
-    """Have these streams, and nothing of the nursery's."""
-    signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    for number, stream in enumerate(streams):
-        os.dup2(stream, number)
-    for number in (*streams, *others):
-        os.close(number)
-
-
-def next_ended() -> tuple[int, int] | None:
-    try:
-        pid, status = os.waitpid(-1, os.WNOHANG)
-    except ChildProcessError:
-        return None
-    return (pid, os.waitstatus_to_exitcode(status)) if pid else None
+            os.write(told, NUMBER.pack(pid))
+            os.write(told, NUMBER.pack(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
+            os._exit(0)
+        for number in given:
+            os.close(number)
 
 
 if __name__ == '__main__':

@@ -56,10 +56,10 @@ class Probe:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def listen(self, topic: str, kind: str = '', *, reliable: bool = True) -> list[Any]:
+    def listen(self, topic: str, *, reliable: bool = True) -> list[Any]:
         """A list that grows with what is heard on the topic; its type is the contract's."""
         heard = self._heard.setdefault(f'topic {topic}', [])
-        self._do('listen', topic=topic, kind=kind or kind_of(topic), reliable=reliable)
+        self._do('listen', topic=topic, kind=kind_of(topic), reliable=reliable)
         return heard
 
     def diagnostics(self, name: str, key: str = '', *, since_ns: int = 0) -> str:
@@ -75,9 +75,9 @@ class Probe:
                     return str(values.get(key, '') if key else status.message)
         return ''
 
-    def advertise(self, topic: str, kind: str = '') -> None:
+    def advertise(self, topic: str) -> None:
         """Have a publisher, which a first message needs so that somebody can know of it."""
-        self._do('advertise', topic=topic, kind=kind or kind_of(topic))
+        self._do('advertise', topic=topic, kind=kind_of(topic))
 
     def publish(self, topic: str, *messages: Mapping[str, Any], every_s: float = 0.0) -> None:
         """Say messages one after the other; `every_s`: the one message again and again.

@@ -1,4 +1,4 @@
-"""Nodes that meet bad input say so in /diagnostics and go on: ports, gains, bags."""
+"""A node that meets bad bags says so in /diagnostics and goes on."""
 
 import json
 from collections.abc import Callable

@@ -44,7 +44,7 @@ class Bench(Updated):
         self.endpoint = endpoint(self.aircraft, Receiver(events=tuple(events)))
         self.settings = GainSettings(folder=folder, **settings)
         self.cycle, self.peak_rad = None, 0.0
-        super().__init__(self.endpoint, host0_ns=1_000_000_000)
+        super().__init__(self.endpoint)
 
     @property
     def now_s(self):
@@ -69,7 +69,11 @@ class Bench(Updated):
         elif isinstance(frame, (ParamValue, GainsState)):
             self.updates.take(frame, self.now_s)
         elif isinstance(frame, Cycle):
-            self._cycle(frame, self.now_ns)
+            self.cycle = frame
+            self.peak_rad = max(self.peak_rad, *(abs(a) for a in frame.attitude[:2]))
+            pulse = self.updates.cycle(frame, self.now_s)
+            if pulse is not None:
+                self.link.send(Quad().excite(*pulse, PULSE_VALID_MS))
 
     def fly_until(self, said, seconds=40.0):
         """Fly until a line of news holds `said`; the line."""
@@ -94,13 +98,6 @@ class Bench(Updated):
     @property
     def told(self):
         return self.updates.active
-
-    def _cycle(self, frame, now_ns):
-        self.cycle = frame
-        self.peak_rad = max(self.peak_rad, *(abs(a) for a in frame.attitude[:2]))
-        pulse = self.updates.cycle(frame, 1e-9 * now_ns)
-        if pulse is not None:
-            self.link.send(Quad().excite(*pulse, PULSE_VALID_MS))
 
 
 @pytest.fixture

@@ -38,7 +38,6 @@ KINDS = {
     for name, kind in (('px4', FLYING_PX4), ('ardupilot', FLYING_ARDUPILOT))
 }
 """At rates that a modest line carries: what is tested here is no matter of rates."""
-HOST0_NS = 5_000_000_000
 P = {'px4': 'MC_ROLLRATE_P', 'ardupilot': 'ATC_RAT_RLL_P'}
 both = pytest.mark.parametrize('name', KINDS)
 
@@ -48,8 +47,8 @@ class Cockpit(Updated):
 
     def __init__(self, name, folder, *, gains=True, excitation=True, aircraft=None):
         self.settings, self.allow = GainSettings(folder=folder), (gains, excitation)
-        self.cycles, self.commands = [], []
-        super().__init__(aircraft or Flying(KINDS[name]), Link(), host0_ns=HOST0_NS)
+        self.cycles = []
+        super().__init__(aircraft or Flying(KINDS[name]))
 
     def connect(self, link):
         """A bridge begins; one that was there is killed."""

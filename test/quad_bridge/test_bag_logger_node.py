@@ -18,11 +18,8 @@ LOST, WRITTEN = 'messages lost (middleware)', 'messages written'
 
 @pytest.fixture
 def logger(start, tmp_path):
-    def begin(**settings):
-        known = {'folder': tmp_path, 'autostart': True, 'topics': list(TOPICS)}
-        return start('bag_logger', **{**known, **settings})
-
-    return begin
+    settings = {'folder': tmp_path, 'autostart': True, 'topics': list(TOPICS)}
+    return lambda **more: start('bag_logger', **{**settings, **more})
 
 
 class Load:

@@ -19,7 +19,6 @@ from quad_bridge.wire.codec import Decoder, Encoder
 CYCLE_US = 4000
 DIVIDER = 11.0
 NAMES = tuple(WIRE_NAMES.values())
-COUNTS = ('frames', 'bad', 'unsigned', 'forged', 'replayed', 'dropped')
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
 """A sample of gyro and accelerometer at rest, axes of the chips (FLU)."""
 
@@ -34,13 +33,12 @@ class Board:
         self.cycle = 0
         self.motors = ()
 
-    def tell(self, *frames, after_us=0):
-        """Frames to the board `after_us` after the coming cycle's time; its answers."""
-        return self.feed(b''.join(self.encoder.encode(x) for x in frames), after_us=after_us)
+    def tell(self, *frames):
+        """Frames to the board at the coming cycle's time; its answers."""
+        return self.feed(b''.join(self.encoder.encode(x) for x in frames))
 
-    def feed(self, data, *, after_us=0):
-        now_us = self.cycle * CYCLE_US + after_us
-        return self.decoder.feed(self.firmware.receive(data, now_us))
+    def feed(self, data):
+        return self.decoder.feed(self.firmware.receive(data, self.cycle * CYCLE_US))
 
     def run(
         self, cycles=1, *, kill=False, failsafe=False, battery_v=12.0, sample=LEVEL, throttle=0.5,
@@ -65,18 +63,11 @@ class Board:
 
     def update(self, **wanted):
         """OPEN, PARAM_SET of each (ROLL_RATE_KP=…), COMMIT; the answer to the last."""
-        values = dict(zip(NAMES, self.in_force(), strict=True)) | wanted
+        values = dict(zip(NAMES, self.firmware.gains().tolist(), strict=True)) | wanted
         self.tell(f.GainsCommand(f.GainsAction.OPEN, 5))
         self.tell(*(f.ParamSet(name, value) for name, value in wanted.items()))
         check = checksum([values[name] for name in NAMES])
         return self.tell(f.GainsCommand(f.GainsAction.COMMIT, 5, check, 1000))[0]
-
-    @property
-    def counts(self):
-        return dict(zip(COUNTS, self.firmware.counts(), strict=True))
-
-    def in_force(self):
-        return self.firmware.gains().tolist()
 
 
 def of(kind, frames):

@@ -41,14 +41,13 @@ def test_good_gains_are_confirmed_in_gusts_and_with_sticks(bench, seed, begin_s,
     made.fly_until('confirmed', seconds=12.0)
 
 
-def fed(watch, seconds, size, omega, axis=0, start=0, rate_hz=250.0):
+def fed(watch, seconds, size, omega, rate_hz=250.0):
     """Feed an oscillation of the rate, rad/s; the time of the alarm, None without one."""
-    for k in range(start, start + round(seconds * rate_hz)):
-        rates = np.zeros(3)
-        rates[axis] = size * np.sin(omega * k / rate_hz)
-        watch.step(rates, STILL, STILL, STILL)
+    for k in range(round(seconds * rate_hz)):
+        turns = np.array([size * np.sin(omega * k / rate_hz), 0.0, 0.0])
+        watch.step(turns, STILL, STILL, STILL)
         if watch.alarm() is not None:
-            return (k - start) / rate_hz
+            return k / rate_hz
     return None
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from autopilots import ALL, ARDUPILOT, BETAFLIGHT, GRAVITY, PX4, Autopilot, mav
-from flight_controller import Line, Port, Pty
+from flight_controller import HOST0_NS, Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Autopilot as TheirTopics
@@ -14,12 +14,11 @@ from quad_bridge.link.report import clock_status
 from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.wire import frames as f
 
-HOST0_NS = 5_000_000_000
 OURS = ['/control/wrench', '/setpoint/attitude', '/setpoint/rates', '/excitation/applied']
 
 
 def flown(peer, seconds=4.0):
-    line = Line(peer, host0_ns=HOST0_NS)
+    line = Line(peer)
     line.fly(seconds)
     return line
 
@@ -35,9 +34,9 @@ def inertial(line):
     return [item.frame for item in line.out if isinstance(item.frame, Inertial)]
 
 
-def late_rate_hz(line, topic, seconds=2.0):
-    begin_ns = line.now_ns - round(1e9 * seconds)
-    return sum(i.topic == topic and i.stamp_ns > begin_ns for i in line.out) / seconds
+def late_rate_hz(line, topic):
+    begin_ns = line.now_ns - 2_000_000_000
+    return sum(i.topic == topic and i.stamp_ns > begin_ns for i in line.out) / 2.0
 
 
 def stamps_are_true(line, off_ms=1.0):
@@ -247,7 +246,7 @@ class Shared(Line):
     def __init__(self, peer, *sender):
         self.party, self.party_heard = mav.MAVLink(None, *sender), []
         self.party.robust_parsing = True
-        super().__init__(peer, host0_ns=HOST0_NS)
+        super().__init__(peer)
 
     def hear(self, data, late_ns=0):
         self.party_heard += self.party.parse_buffer(data) or []

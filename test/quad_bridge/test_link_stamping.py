@@ -31,7 +31,7 @@ class Story(Line):
     def set(self, **script):
         vars(self.controller).update(script)
 
-    def restart(self, seconds=0.0):
+    def restart(self, seconds):
         self.controller.restart()
         self.since_restart = len(self.out)
         self.fly(seconds)
@@ -48,18 +48,18 @@ class Story(Line):
     def own_sticks(self):
         yield f.RcChannels(self.controller.device_us // 1000 % (1 << 32), (1500,) * 9)
 
-    def deaf_and_sticks_first(self, deaf=100, cycles=350):
+    def deaf_and_sticks_first(self):
         """TIMESYNC is not answered at first, and the sticks come before the cycle."""
-        for k in range(cycles):
-            self.controller.unanswered = (f.TimeSync,) if k <= deaf else ()
+        for k in range(350):
+            self.controller.unanswered = (f.TimeSync,) if k <= 100 else ()
             self.skip()
             self.hear(self.controller.encode(*self.own_sticks(), self.controller.frame()))
             self.attend()
 
-    def stand_still(self, cycles=250):
+    def stand_still(self):
         """The host stands still, and then finds all waiting: pieces of 16 ms, time goes on."""
         kept = b''
-        for _ in range(cycles):
+        for _ in range(250):
             self.skip()
             kept += self.controller.encode(self.controller.frame(), *sticks(self.controller))
         for begin in range(0, len(kept), 4095):
@@ -67,8 +67,8 @@ class Story(Line):
             self.hear(kept[begin : begin + 4095])
             self.attend()
 
-    def uneven(self, cycles=5000):
-        for k in range(cycles):
+    def uneven(self):
+        for k in range(5000):
             self.controller.late_us = 3000 if k % 50 == 0 else 0
             self.run()
 

@@ -15,19 +15,19 @@ LOG = np.random.default_rng(3).bytes(150_007)
 class Card:
     """An autopilot with one log; `says` is the size that its list gives."""
 
-    def __init__(self, log=LOG, says=None, loses=0.0):
-        self.log, self.says, self.loses = log, says or len(log), loses
+    def __init__(self, says=None, loses=0.0):
+        self.says, self.loses = says or len(LOG), loses
         self.random, self.sent = np.random.default_rng(1), 0
 
     def answers(self, asked):
         if isinstance(asked, f.LogRequestList):
             yield f.LogEntry(7, 3, 7, 0, self.says)
         elif isinstance(asked, f.LogRequestData):
-            for at in range(asked.offset, min(asked.offset + asked.count, len(self.log)), CHUNK):
+            for at in range(asked.offset, min(asked.offset + asked.count, len(LOG)), CHUNK):
                 end = min(at + CHUNK, asked.offset + asked.count)
                 self.sent += 1
                 if self.random.random() >= self.loses:
-                    yield f.LogData(7, at, self.log[at:end])
+                    yield f.LogData(7, at, LOG[at:end])
 
 
 def fetched(card, folder, until=None):

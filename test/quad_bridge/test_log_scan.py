@@ -12,15 +12,8 @@ from datetime import datetime, timezone
 
 import lz4.frame
 import pytest
+from rosbags import interfaces as ros
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -38,9 +31,9 @@ TOPICS = ('/setpoint/rates', '/setpoint/attitude')
 EVERY = 40
 """Messages of a chunk."""
 STEP_NS = 4_000_000
-LATCHED = Qos(
-    QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
-    QosTime(0, 0), QosTime(0, 0), QosLiveliness.AUTOMATIC, QosTime(0, 0), False,
+LATCHED = ros.Qos(
+    ros.QosHistory.KEEP_LAST, 10, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL,
+    ros.QosTime(0, 0), ros.QosTime(0, 0), ros.QosLiveliness.AUTOMATIC, ros.QosTime(0, 0), False,
 )  # fmt: skip
 PACKERS = {'none': None, 'zstd': scan.zstd.compress, 'lz4': lz4.frame.compress}
 
@@ -60,10 +53,6 @@ def made(path, n=400, *, closed=True, split_s=0.0):
             writer.flush()
     (writer.close if closed else writer.abort)()
     return ledger
-
-
-def plain(messages):
-    return [(m.topic.name, m.time_ns, m.data) for m in messages]
 
 
 def records(data):
@@ -109,7 +98,7 @@ def stands_in(bag):
     with AnyReader([bag]) as reader:
         offered = {c.topic: [q.durability for q in c.ext.offered_qos_profiles]
                    for c in reader.connections}  # fmt: skip
-        assert offered == {TOPICS[0]: [QosDurability.TRANSIENT_LOCAL], TOPICS[1]: []}
+        assert offered == {TOPICS[0]: [ros.QosDurability.TRANSIENT_LOCAL], TOPICS[1]: []}
         return [(c.topic, time_ns, bytes(raw)) for c, time_ns, raw in reader.messages()]
 
 
@@ -181,7 +170,7 @@ KINDS = [('none', True), ('none', False), ('zstd', False), ('lz4', False)]
 
 def read(data):
     damaged = McapScan(bytes(data))
-    return damaged, plain(damaged.messages())
+    return damaged, [(m.topic.name, m.time_ns, m.data) for m in damaged.messages()]
 
 
 def flipped(data, place, mask):

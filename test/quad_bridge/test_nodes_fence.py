@@ -13,7 +13,7 @@ def _few(monkeypatch):
     monkeypatch.setattr(module, 'MAX_IN_A_ROW', 3)
 
 
-def failing(_data=None):
+def failing():
     raise OverflowError('int too large\nto convert')
 
 

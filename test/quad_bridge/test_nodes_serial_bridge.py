@@ -60,11 +60,6 @@ def count(probe, name, key):
     return int(probe.diagnostics(name, key) or 0)
 
 
-def after_two_reports(probe):
-    heard = probe.listen('/diagnostics')
-    probe.until(lambda: sum(a.status[0].name == RECORDING for a in list(heard)) > 1)
-
-
 def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, probe, start):
     """Between a frame on the wire and the bag no cycle is lost that nobody says was lost."""
     recorder = start('bag_logger', folder=tmp_path / 'bags', autostart=True)
@@ -93,7 +88,8 @@ def test_replugged_under_another_name_the_flight_goes_on_into_the_bag(tmp_path, 
         lost = count(probe, LINK, 'lost cycles')
         assert probe.diagnostics(LINK, 'device').endswith('ttyACM1')
         assert node.end() == 0
-        after_two_reports(probe)
+        told = probe.listen('/diagnostics')
+        probe.until(lambda: sum(a.status[0].name == RECORDING for a in list(told)) > 1)
         assert recorder.end() == 0
     found = recorded(bag_in(tmp_path))
     imu = found['/imu/data']

@@ -20,8 +20,8 @@ BIAS, DRIFT = np.array([0.012, -0.02, 0.004]), np.array([2e-5, 0.0, -1e-4])
 ROLL, PITCH = 0.03, -0.02
 
 
-def resting(seconds=20.0, seed=3):
-    rng = np.random.default_rng(seed)
+def resting(seconds=20.0):
+    rng = np.random.default_rng(3)
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     gyro = BIAS + DRIFT * (t - t.mean())[:, None] + 0.005 * rng.standard_normal((len(t), 3))
     up = GRAVITY_M_S2 * np.array(

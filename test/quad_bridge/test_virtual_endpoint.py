@@ -42,16 +42,6 @@ def test_a_stalled_process_catches_up_without_losing_a_cycle(run, tmp_path):
 EFFECT = 'import numpy as np\ndef effect(t_s, rates, angles, thrusts, battery_v):\n    '
 
 
-@pytest.fixture
-def handlers():
-    """The process takes the signals; they are given back afterwards."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures('handlers')
 @pytest.mark.parametrize(
     ('source', 'said'),
     [
@@ -60,7 +50,10 @@ def handlers():
         (EFFECT + 'raise SystemExit(5)\n', 'effect() at t = 0.000 s: SystemExit: 5'),
         ('x = 1\n', 'no function effect'), (None, 'not a readable Python file')],
 )
-def test_a_bad_effect_module_is_one_line_and_status_2(tmp_path, refused, source, said):
+def test_a_bad_effect_module_is_one_line_and_status_2(
+    tmp_path, monkeypatch, refused, source, said
+):
+    monkeypatch.setattr(signal, 'signal', lambda *_: None)  # those of this process stay
     path = tmp_path / 'bad.py'
     if source is not None:
         path.write_text(source, encoding='utf-8')

@@ -26,11 +26,6 @@ def inputs(cycles: int, aircraft: Aircraft, armed: bool = True) -> np.ndarray:
     return given
 
 
-def world_vector(quat: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """`quat` w x y z."""
-    return Rotation.from_quat(np.roll(quat, -1)).apply(v)
-
-
 def spinning(momentum):
     return GyroscopicCoupling(enabled=True, rotor_scale=0.0, extra_momentum_nm_s=momentum)
 
@@ -52,7 +47,8 @@ def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbl
     momentum = inertia * state[RATES : RATES + 3] + extra
     energy = inertia @ state[RATES : RATES + 3] ** 2
     log = aircraft.run(inputs(cycles, aircraft, armed=False))
-    after = world_vector(state[QUAT : QUAT + 4], inertia * state[RATES : RATES + 3] + extra)
+    to_world = Rotation.from_quat(np.roll(state[QUAT : QUAT + 4], -1))  # w x y z to x y z w
+    after = to_world.apply(inertia * state[RATES : RATES + 3] + extra)
     turned = np.ptp(log[:, COLUMNS['true_rates']], axis=0)
     assert turned[: 2 if spin else 3].min() > 0.04
     assert after == pytest.approx(momentum, abs=1e-8)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from node_process import PROGRAMS, Started, node_command, program
-from probe import entries, event
+from node_process import PROGRAMS, SIGNAL_AT_IMPORT, Started, node_command, program
+from probe import event
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 NODES = {*PROGRAMS} - {'virtual_stm32', 'main'}
@@ -15,14 +15,6 @@ ONE_OF_EACH = ('serial_bridge', 'excitation', 'virtual_stm32')
 """The nodes of a package begin by the same lines."""
 PARAMETERS = {
     'serial_bridge': {'port': 'tty', 'state_folder': 'state'}, 'bag_logger': {'autostart': True}}
-INTERRUPT_AT_IMPORT = """
-import importlib.abc, os, sys
-class Interrupt(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, path, target=None):
-        if name == {0!r}:
-            os.kill(os.getpid(), {1})
-sys.meta_path.insert(0, Interrupt())
-"""
 SAY_READY = """
 import pathlib
 from rclpy.executors import SingleThreadedExecutor as E
@@ -66,7 +58,7 @@ def ended(process: Started, status: int = 0) -> str:
 def test_a_signal_while_it_imports(begin, name, number):
     last = 'rclpy.executors' if name in NODES else 'quad_bridge.virtual.receiver'
     module = 'numpy' if number == INT else last
-    process = begin(name, INTERRUPT_AT_IMPORT.format(module, int(number)), fresh=True)
+    process = begin(name, SIGNAL_AT_IMPORT.format(module, int(number)), fresh=True)
     assert ended(process, 0 if name in NODES else 130) == ''
 
 
@@ -111,10 +103,10 @@ def run(bags, folder, wanted, progress):
 session.run = run
 """
     process = begin('identification', compute)
-    told = probe.listen('/diagnostics')
+    probe.listen('/diagnostics')
     probe.publish('/logger/bag', event({'path': str(Path('bag').resolve()), 'state': 'complete'}))
     name = 'identification: identification'
     line = 'identifying: roll: what is missing'
-    probe.until(lambda: getattr(entries(told).get(name), 'message', '') == line)
+    probe.until(lambda: probe.diagnostics(name) == line)
     process.send(INT)
     ended(process)

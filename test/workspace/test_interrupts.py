@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 
 import pytest
-from node_process import ended, until
+from node_process import SIGNAL_AT_IMPORT, ended, until
 from probe import PATIENCE_S
 
 COMMANDS = {
@@ -15,17 +15,6 @@ COMMANDS = {
     'recover': ('quad_bridge.start', 'recover'),
 }
 """Name of a program, the module and the function of its console entry; others begin as these."""
-AT_IMPORT = """
-import importlib.abc, os, sys
-class Interrupt(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, path, target=None):
-        if name == {0!r}:
-            try:
-                os.kill(os.getpid(), 2)
-            except KeyboardInterrupt as error:
-                raise ImportError('an import that makes another error of it') from error
-sys.meta_path.insert(0, Interrupt())
-"""
 AT_WORK = """
 import atexit, os, signal, threading
 from pathlib import Path
@@ -78,7 +67,7 @@ def work(tmp_path, nursery) -> Callable[[str], tuple[int, str, str]]:
     [('quad-sysid', 'numpy'), ('demo', 'quad_tuning.demo.main'), ('recover', 'yaml')],
 )
 def test_while_it_imports(tmp_path, program, module):
-    done = ended(*command(program, AT_IMPORT.format(module)), cwd=tmp_path)
+    done = ended(*command(program, SIGNAL_AT_IMPORT.format(module, 2)), cwd=tmp_path)
     told = done.returncode, done.stdout, done.stderr
     assert told == (130, '', f'{program}: interrupted\n')
 
