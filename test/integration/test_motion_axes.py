@@ -110,6 +110,16 @@ def test_climb_without_a_ground_lacks_nothing(climbed):
     assert found.answer.model.value('damping') == pytest.approx(0.3, rel=0.03)
 
 
+def test_a_speed_that_comes_rarely_is_not_measured_in_between(climbed):
+    record, keep = climbed[0], np.arange(climbed[0].n) % 48 == 0
+    rare = replace(record, velocity=np.where(keep[:, None], record.velocity, np.nan),
+                   altitude=np.where(keep, record.altitude, np.nan))
+    found = identified(rare, 'climb')
+    assert found.report['axes']['climb']['verdict'] == 'no_missing_effect'
+    assert found.answer.model.value('gain') == pytest.approx(
+        climbed[2].answer.model.value('gain'), rel=0.005)
+
+
 def test_climb_near_the_ground_names_it():
     found = answer(GROUND, 'climb')
     tree, model = found.report['axes']['climb'], found.answer.model
@@ -145,6 +155,12 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert back.altitude[seen] == pytest.approx(record.altitude[seen], abs=1e-6)
     assert back.lean[seen] == pytest.approx(record.lean[seen], abs=0.02)
     assert not np.isfinite(back.velocity[~seen]).any()
+
+
+def test_the_force_is_not_integrated_ahead_of_its_time():
+    t = 0.004 * np.arange(2000)
+    speed, _ = vertical_motion(np.sin(6.0 * t), -36.0 * np.sin(6.0 * t), 0.004)
+    assert np.abs(speed - 6.0 * np.cos(6.0 * t))[250:-250].max() < 0.02
 
 
 def test_barometer_and_accelerometer_give_the_climb(climbed):

@@ -96,10 +96,13 @@ def vertical_motion(height: FloatArray, force: FloatArray,
     The vertical specific force is quick but biased; integrated twice it is right but for what
     changes slowly, which the barometer's height gives. Both without gaps, dt in s.
     """
-    from scipy.signal import butter, sosfiltfilt  # seconds, which other axes need not
+    # seconds to import, which other axes need not
+    from scipy.integrate import cumulative_trapezoid
+    from scipy.signal import butter, sosfiltfilt
 
-    quick_speed = np.cumsum(force - force.mean()) * dt
-    quick = np.cumsum(quick_speed) * dt
+    # by trapezia: a sum over samples is half a cycle ahead, which the delay would lack
+    quick_speed = cumulative_trapezoid(force - force.mean(), dx=dt, initial=0.0)
+    quick = cumulative_trapezoid(quick_speed, dx=dt, initial=0.0)
     slow = height - quick
     t = np.linspace(-1.0, 1.0, slow.size)
     # an accelerometer's bias, and its change, leave a cubic in the altitude

@@ -6,6 +6,7 @@ Built by bags.read_bag or by hand, from arrays. No file access, no filtering, no
 from __future__ import annotations
 
 import itertools
+import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -341,8 +342,9 @@ class Record:
         if measured.size < 2:
             return self
         interval = float(np.median(np.diff(measured))) * self.dt
-        count = round(min(max(interval, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
-                      else dt / self.dt)
+        # several of them from one sample to the next where these are further apart
+        cycles = max(interval, SPEED_DT_S[0]) / max(1, math.ceil(interval / SPEED_DT_S[1] - 1e-9))
+        count = round((cycles if dt is None else dt) / self.dt)
         if count < 2:
             return self
         phase = int(np.bincount(measured % count).argmax())
@@ -351,15 +353,23 @@ class Record:
         def cells(values: FloatArray) -> FloatArray:
             return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
 
+        tilt = 0.0 if self.angles is None else lean(self.angles)
+        seen = np.zeros(n, dtype=bool)
+        nearest = np.round((measured - phase) / count).astype(int)
+        seen[nearest[(nearest >= 0) & (nearest < n)]] = True
         arrays: dict[str, Any] = {}
         for array in WIDTHS:
             values = getattr(self, array)
             if values is None:
                 continue
-            if array in SPARSE:
-                values = across_gaps(values, SPEED_GAP_S / self.dt)
+            if array in SPARSE:  # the angles know how the lean moves between its samples
+                known = tilt if array == 'lean' else 0.0
+                values = known + across_gaps(values - known, SPEED_GAP_S / self.dt)
             values = cells(values)
-            arrays[array] = values.mean(axis=1) if array in ACTING else values[:, 0]
+            values = values.mean(axis=1) if array in ACTING else values[:, 0]
+            if array in {'velocity', 'altitude'}:
+                values[~seen] = np.nan
+            arrays[array] = values
         shift_s = phase * self.dt
         return replace(
             self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * shift_s), **arrays,

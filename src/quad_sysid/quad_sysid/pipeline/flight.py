@@ -39,7 +39,7 @@ class AxisFlight:
         """Raises NotInformativeError where the records cannot answer for the axis."""
         data, entry, first = axis_data(records, axis), EVERY[axis], records[0]
         check_usable(data, records)
-        # of surge and sway the command is the lean, which nobody interpolates
+        # of surge and sway it is the lean, which moves between its samples as the angles do
         commands = slice(1, None) if entry.turns else slice(1)
         drawn = [drawn_hz(record.control[:, commands], record.dt)
                  for record in records if entry.turns or entry.index < 0]
