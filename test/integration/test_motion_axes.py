@@ -157,6 +157,18 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert not np.isfinite(back.velocity[~seen]).any()
 
 
+@pytest.mark.parametrize('every', [1, 5])
+def test_a_lean_acts_from_one_sample_to_the_next(every):
+    t = 0.02 / every * np.arange(100 * every)
+    angles = np.column_stack([0.0 * t, np.arctan(0.1 * t), 0.0 * t])
+    speed = np.column_stack([0.05 * t**2, 0.0 * t, 0.0 * t])
+    speed[np.arange(t.size) % every != 0] = np.nan
+    record = Record('a flight', 0.02 / every, np.zeros((t.size, 3)), np.ones((t.size, 4)),
+                    angles=angles, velocity=speed).for_axis('surge')
+    driven = record.motion('surge').control[:-1, 1]
+    np.testing.assert_allclose(driven, np.diff(0.05 * t[::every]**2) / 0.02, atol=1e-4)
+
+
 def test_the_force_is_not_integrated_ahead_of_its_time():
     t = 0.004 * np.arange(2000)
     speed, _ = vertical_motion(np.sin(6.0 * t), -36.0 * np.sin(6.0 * t), 0.004)

@@ -89,6 +89,14 @@ def test_yaw_shows_the_lead_of_heavy_rotors():
         assert model.value(name) == pytest.approx(true, rel=0.15 if name == 'damping' else 0.05)
 
 
+def test_a_lead_shorter_than_the_lag_is_not_called_a_slow_motor():
+    """It acts as if a share of the motors had no lag, which is the less probable cause."""
+    few = tuple(effect for effect in EFFECTS if effect.label in {'mode:rotor_lead', 'motor_lag'})
+    record = recorded(replace(QUAD, reaction_s=0.024), 2)
+    found = identify([record], Options(axes=('yaw',), effects=few))['yaw'].findings
+    assert found.ladder.rungs[-1].labels == ('mode:rotor_lead',)
+
+
 def test_a_motor_that_stops_slips_or_lags_is_named(tmp_path):
     flown = recorded(replace(HEXA, stops=(1, 12.0, 12.3)), 4, speeds=True)
     speeds = flown.speeds.copy()

@@ -28,9 +28,11 @@ WIDTHS = {
     'velocity': 3, 'altitude': 0, 'lean': 2,
 }
 """Array of a Record → its columns: 0 for one without (n,), None for any number."""
-ACTING = ('control', 'motors', 'wrench', 'angles', 'lean')
+ACTING = ('control', 'motors', 'wrench')
+MOVING = ('angles', 'lean')
 SPARSE = ('velocity', 'altitude', 'lean')
-"""Arrays that act over a whole cycle, and those that may come more rarely."""
+"""Arrays that hold for a whole cycle, that act throughout it but are those of its start, and those
+that may come more rarely."""
 SPEED_DT_S = (0.01, 0.05)
 """Shortest and longest interval, s, at which a speed is looked at: its motors have a lag of some
 40 ms, and errors are those of half a second."""
@@ -345,8 +347,7 @@ class Record:
         # several of them from one sample to the next where these are further apart
         cycles = max(interval, SPEED_DT_S[0]) / max(1, math.ceil(interval / SPEED_DT_S[1] - 1e-9))
         count = round((cycles if dt is None else dt) / self.dt)
-        if count < 2:
-            return self
+        count = max(count, 1)
         phase = int(np.bincount(measured % count).argmax())
         n = (self.n - phase) // count
 
@@ -365,8 +366,10 @@ class Record:
             if array in SPARSE:  # the angles know how the lean moves between its samples
                 known = tilt if array == 'lean' else 0.0
                 values = known + across_gaps(values - known, SPEED_GAP_S / self.dt)
+            if array in MOVING:  # from each sample to the next
+                values = 0.5 * (values + np.concatenate([values[1:], values[-1:]]))
             values = cells(values)
-            values = values.mean(axis=1) if array in ACTING else values[:, 0]
+            values = values.mean(axis=1) if array in ACTING + MOVING else values[:, 0]
             if array in {'velocity', 'altitude'}:
                 values[~seen] = np.nan
             arrays[array] = values
