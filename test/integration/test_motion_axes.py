@@ -169,6 +169,20 @@ def test_a_lean_acts_from_one_sample_to_the_next(every):
     np.testing.assert_allclose(driven, np.diff(0.05 * t[::every]**2) / 0.02, atol=1e-4)
 
 
+@pytest.mark.parametrize('every', [1, 5])
+def test_where_the_aircraft_turns_speed_and_lean_point_alike(every):
+    t = 0.02 / every * np.arange(400 * every)
+    forward, left = 0.1 * np.cos(0.6 * t), -0.1 * np.sin(0.6 * t)
+    angles = np.column_stack([-np.arctan(left * np.cos(np.arctan(forward))), np.arctan(forward),
+                              0.6 * t])
+    speed = np.column_stack([10.0 * t * forward, 10.0 * t * left, 0.0 * t])
+    record = Record('a flight', 0.02 / every, np.zeros((t.size, 3)), np.ones((t.size, 4)),
+                    angles=angles, velocity=speed)
+    surge, sway = (record.for_axis(axis).motion(axis) for axis in ('surge', 'sway'))
+    way = np.arctan2(sway.rate, surge.rate) - np.arctan2(surge.control[:, 2], surge.control[:, 1])
+    np.testing.assert_allclose(way[1:-1], 0.0, atol=1e-3)
+
+
 def test_the_force_is_not_integrated_ahead_of_its_time():
     t = 0.004 * np.arange(2000)
     speed, _ = vertical_motion(np.sin(6.0 * t), -36.0 * np.sin(6.0 * t), 0.004)
