@@ -110,6 +110,16 @@ def test_climb_without_a_ground_lacks_nothing(climbed):
     assert found.answer.model.value('damping') == pytest.approx(0.3, rel=0.03)
 
 
+def test_a_speed_that_comes_rarely_is_not_measured_in_between(climbed):
+    record, keep = climbed[0], np.arange(climbed[0].n) % 48 == 0
+    rare = replace(record, velocity=np.where(keep[:, None], record.velocity, np.nan),
+                   altitude=np.where(keep, record.altitude, np.nan))
+    found = identified(rare, 'climb')
+    assert found.report['axes']['climb']['verdict'] == 'no_missing_effect'
+    assert found.answer.model.value('gain') == pytest.approx(
+        climbed[2].answer.model.value('gain'), rel=0.005)
+
+
 def test_climb_near_the_ground_names_it():
     found = answer(GROUND, 'climb')
     tree, model = found.report['axes']['climb'], found.answer.model
@@ -145,6 +155,38 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert back.altitude[seen] == pytest.approx(record.altitude[seen], abs=1e-6)
     assert back.lean[seen] == pytest.approx(record.lean[seen], abs=0.02)
     assert not np.isfinite(back.velocity[~seen]).any()
+
+
+@pytest.mark.parametrize('every', [1, 5])
+def test_a_lean_acts_from_one_sample_to_the_next(every):
+    t = 0.02 / every * np.arange(100 * every)
+    angles = np.column_stack([0.0 * t, np.arctan(0.1 * t), 0.0 * t])
+    speed = np.column_stack([0.05 * t**2, 0.0 * t, 0.0 * t])
+    speed[np.arange(t.size) % every != 0] = np.nan
+    record = Record('a flight', 0.02 / every, np.zeros((t.size, 3)), np.ones((t.size, 4)),
+                    angles=angles, velocity=speed).for_axis('surge')
+    driven = record.motion('surge').control[:-1, 1]
+    np.testing.assert_allclose(driven, np.diff(0.05 * t[::every]**2) / 0.02, atol=1e-4)
+
+
+@pytest.mark.parametrize('every', [1, 5])
+def test_where_the_aircraft_turns_speed_and_lean_point_alike(every):
+    t = 0.02 / every * np.arange(400 * every)
+    forward, left = 0.1 * np.cos(0.6 * t), -0.1 * np.sin(0.6 * t)
+    angles = np.column_stack([-np.arctan(left * np.cos(np.arctan(forward))), np.arctan(forward),
+                              0.6 * t])
+    speed = np.column_stack([10.0 * t * forward, 10.0 * t * left, 0.0 * t])
+    record = Record('a flight', 0.02 / every, np.zeros((t.size, 3)), np.ones((t.size, 4)),
+                    angles=angles, velocity=speed)
+    surge, sway = (record.for_axis(axis).motion(axis) for axis in ('surge', 'sway'))
+    way = np.arctan2(sway.rate, surge.rate) - np.arctan2(surge.control[:, 2], surge.control[:, 1])
+    np.testing.assert_allclose(way[1:-1], 0.0, atol=1e-3)
+
+
+def test_the_force_is_not_integrated_ahead_of_its_time():
+    t = 0.004 * np.arange(2000)
+    speed, _ = vertical_motion(np.sin(6.0 * t), -36.0 * np.sin(6.0 * t), 0.004)
+    assert np.abs(speed - 6.0 * np.cos(6.0 * t))[250:-250].max() < 0.02
 
 
 def test_barometer_and_accelerometer_give_the_climb(climbed):

@@ -89,6 +89,14 @@ def test_yaw_shows_the_lead_of_heavy_rotors():
         assert model.value(name) == pytest.approx(true, rel=0.15 if name == 'damping' else 0.05)
 
 
+def test_a_lead_shorter_than_the_lag_is_not_called_a_slow_motor():
+    """It acts as if a share of the motors had no lag, which is the less probable cause."""
+    record = recorded(replace(QUAD, lag_s=0.05, reaction_s=0.03), 2)
+    model = model_of(record, 'mode:rotor_lead', 'motor_lag', axis='yaw')
+    assert [e.name for e in model.effects] == ['mode:rotor_lead']
+    assert model.effects[0].probability > 0.9
+
+
 def test_a_motor_that_stops_slips_or_lags_is_named(tmp_path):
     flown = recorded(replace(HEXA, stops=(1, 12.0, 12.3)), 4, speeds=True)
     speeds = flown.speeds.copy()

@@ -40,6 +40,7 @@ from quad_sysid.files import check_new, check_page, read_json, write_whole
 from quad_sysid.fleets import cli as fleets
 from quad_sysid.imports import cli as imports
 from quad_sysid.record import Record
+from quad_sysid.units import in_units_of
 
 INSPECTION = 'quad_sysid/inspection/1'
 """Schema of `inspect --json`."""
@@ -312,8 +313,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     if not evaluations:
         return NOT_ANSWERED
     axes = {
-        e.axis: {'error': {'metric': document.METRIC, 'data': 'training' if seen else 'unseen',
-                           'unit': e.unit,
+        e.axis: {'error': {'metric': in_units_of(models[e.axis].units, document.METRIC),
+                           'data': 'training' if seen else 'unseen', 'unit': e.unit,
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,
@@ -332,7 +333,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         return 0
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
-        beyond = (line for excess in e.outside for line in tables.wrapped(str(excess)))
+        beyond = (line for excess in e.outside for line in tables.wrapped(
+            in_units_of(models[e.axis].units, str(excess))))
         print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)),
                          *tables.errors(tree).text((0, 1, 3)),
                          *tables.explanation(tree).text(), *text.growth(tree), *beyond]))

@@ -57,12 +57,17 @@ def turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
     return np.column_stack([c * x - s * y, s * x + c * y, *up])
 
 
-def steady_heading(forward_left: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(n, 2) what is along a heading that turns, along the mean heading.
+def steady_heading(forward_left: FloatArray, yaw: FloatArray, mean: float) -> FloatArray:
+    """(n, 2) what is along a heading that turns, along a mean heading, rad.
 
     There no turn of the aircraft accelerates it.
     """
-    return turned(forward_left, yaw - np.angle(np.nanmean(np.exp(1j * yaw))))
+    return turned(forward_left, yaw - mean)
+
+
+def between(values: FloatArray) -> FloatArray:
+    """(n, …) the mean of each sample and the next; the last as it is."""
+    return np.asarray(0.5 * (values + np.concatenate([values[1:], values[-1:]])))
 
 
 def over_level(body: FloatArray, angles: FloatArray) -> FloatArray:
@@ -96,10 +101,13 @@ def vertical_motion(height: FloatArray, force: FloatArray,
     The vertical specific force is quick but biased; integrated twice it is right but for what
     changes slowly, which the barometer's height gives. Both without gaps, dt in s.
     """
-    from scipy.signal import butter, sosfiltfilt  # seconds, which other axes need not
+    # seconds to import, which other axes need not
+    from scipy.integrate import cumulative_trapezoid
+    from scipy.signal import butter, sosfiltfilt
 
-    quick_speed = np.cumsum(force - force.mean()) * dt
-    quick = np.cumsum(quick_speed) * dt
+    # by trapezia: a sum over samples is half a cycle ahead, which the delay would lack
+    quick_speed = cumulative_trapezoid(force - force.mean(), dx=dt, initial=0.0)
+    quick = cumulative_trapezoid(quick_speed, dx=dt, initial=0.0)
     slow = height - quick
     t = np.linspace(-1.0, 1.0, slow.size)
     # an accelerometer's bias, and its change, leave a cubic in the altitude

@@ -6,6 +6,7 @@ Built by bags.read_bag or by hand, from arrays. No file access, no filtering, no
 from __future__ import annotations
 
 import itertools
+import math
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.motion import Motion, lean, steady_heading, upright
+from quad_sysid.motion import Motion, between, lean, steady_heading, upright
 from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
@@ -27,7 +28,7 @@ WIDTHS = {
     'velocity': 3, 'altitude': 0, 'lean': 2,
 }
 """Array of a Record → its columns: 0 for one without (n,), None for any number."""
-ACTING = ('control', 'motors', 'wrench', 'angles', 'lean')
+ACTING = ('control', 'motors', 'wrench', 'lean')
 SPARSE = ('velocity', 'altitude', 'lean')
 """Arrays that act over a whole cycle, and those that may come more rarely."""
 SPEED_DT_S = (0.01, 0.05)
@@ -233,15 +234,19 @@ class Record:
                 'record /odom' + (', or /baro beside /imu/data with its acceleration'
                                   if i < 0 else ''))
         if i < 0:  # where it leans, less of the thrust points up
-            share = np.ones(self.n) if angles is None else upright(angles)
+            share = np.ones(self.n) if angles is None else upright(between(angles))
             return Motion(self.velocity[:, 2], self.altitude, share[:, None] * control,
                           None if self.motors is None else share[:, None] * self.motors, share)
         if angles is None:
             raise NotInformativeError(f'{self.source}: {name} needs the lean; record the '
                                       'orientation of /imu/data')
-        leaning = steady_heading(lean(angles) if self.lean is None else self.lean, angles[:, 2])
+        yaw = angles[:, 2]
+        mean = float(np.angle(np.nanmean(np.exp(1j * yaw))))
+        # the lean is that of a whole cycle, the speed that of its start
+        leaning = steady_heading(lean(between(angles)) if self.lean is None else self.lean,
+                                 between(yaw), mean)
         driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
-        speed = steady_heading(self.velocity[:, :2], angles[:, 2])
+        speed = steady_heading(self.velocity[:, :2], yaw, mean)
         return Motion(speed[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))
 
     def external(self, name: str) -> FloatArray | None:
@@ -341,25 +346,36 @@ class Record:
         if measured.size < 2:
             return self
         interval = float(np.median(np.diff(measured))) * self.dt
-        count = round(min(max(interval, SPEED_DT_S[0]), SPEED_DT_S[1]) / self.dt if dt is None
-                      else dt / self.dt)
-        if count < 2:
-            return self
+        # several of them from one sample to the next where these are further apart
+        cycles = max(interval, SPEED_DT_S[0]) / max(1, math.ceil(interval / SPEED_DT_S[1] - 1e-9))
+        count = round((cycles if dt is None else dt) / self.dt)
+        count = max(count, 1)
         phase = int(np.bincount(measured % count).argmax())
         n = (self.n - phase) // count
 
         def cells(values: FloatArray) -> FloatArray:
             return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
 
+        seen = np.zeros(n, dtype=bool)
+        nearest = np.round((measured - phase) / count).astype(int)
+        seen[nearest[(nearest >= 0) & (nearest < n)]] = True
         arrays: dict[str, Any] = {}
         for array in WIDTHS:
             values = getattr(self, array)
-            if values is None:
+            if array == 'lean' and self.angles is not None:
+                # the angles know how it moves between its samples, and act up to the next
+                tilt = lean(self.angles)
+                values = between(tilt if values is None else tilt + across_gaps(
+                    values - tilt, SPEED_GAP_S / self.dt))
+            elif values is None:
                 continue
-            if array in SPARSE:
+            elif array in SPARSE:
                 values = across_gaps(values, SPEED_GAP_S / self.dt)
             values = cells(values)
-            arrays[array] = values.mean(axis=1) if array in ACTING else values[:, 0]
+            values = values.mean(axis=1) if array in ACTING else values[:, 0]
+            if array in {'velocity', 'altitude'}:
+                values[~seen] = np.nan
+            arrays[array] = values
         shift_s = phase * self.dt
         return replace(
             self, dt=count * self.dt, t0_ns=self.t0_ns + round(1e9 * shift_s), **arrays,

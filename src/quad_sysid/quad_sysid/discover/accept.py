@@ -412,7 +412,7 @@ def _caused(unseen: Unseen, fitted: Fitted, innovations: FloatArray) -> FloatArr
         errors[..., j] += state @ steady.output
         moves = transitions(steady, flight.sensor, slope[windows.starts + j], dt)
         state = np.einsum('wij,kwj->kwi', moves, state + innovations[..., j, None] * steady.gain)
-    return errors
+    return unseen.problem.data.where_measured(errors, windows)
 
 
 def _squares(errors: FloatArray) -> FloatArray:

@@ -115,19 +115,23 @@ class SearchResult:
         In the coordinates of the fit, each structure by its probability, as far as it has them:
         what a standard error within one structure does not contain (Draper 1995). Beside a curve
         or a mode that only one of both has, a parameter of the base is another quantity: a curve
-        over the rate holds part of the damping.
+        over the rate holds part of the damping. So is the lag beside motors that answer otherwise.
         """
         slices = {part.effect.label: where for part, where in fitted.structure.placed()}
-        kinds = {part.effect.label: part.effect.kind for part in fitted.structure.parts}
+        lag = [i for i, spec in enumerate(fitted.structure.base) if spec.name == 'lag']
+        own_effects = {part.effect.label: part.effect for part in fitted.structure.parts}
         out = np.zeros((fitted.theta.size, fitted.theta.size))
         base = slice(len(fitted.structure.base))
         for entry, probability in zip(self.all, self.probabilities(), strict=True):
-            other_kinds = {part.effect.label: part.effect.kind
-                           for part in entry.fit.structure.parts}
-            if any(kind != 'named' for _, kind in kinds.items() ^ other_kinds.items()):
+            effects = {part.effect.label: part.effect for part in entry.fit.structure.parts}
+            differing = [(own_effects | effects)[label]
+                         for label in own_effects.keys() ^ effects.keys()]
+            if any(effect.kind != 'named' for effect in differing):
                 continue
             away, theta = np.zeros(fitted.theta.size), entry.fit.theta
             away[base] = theta[base] - fitted.theta[base]
+            if any(effect.term == 'response' for effect in differing):
+                away[lag] = 0.0
             for part, where in entry.fit.structure.placed():
                 if part.effect.label in slices:
                     own = slices[part.effect.label]

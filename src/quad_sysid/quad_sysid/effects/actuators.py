@@ -468,6 +468,6 @@ ACTUATORS: tuple[Effect, ...] = (
         'mode:rotor_lead', ('command',),
         (Spec('lead_time', 's', spread=1.0, centre=math.log(0.1), log=True,
               starts=(0.03, 0.1, 0.3)),),
-        _reaction, kind='mode'),
+        _reaction),  # a law of known physics without a hidden state, for all its name
     *(_slow_motor(i) for i in range(MOST_MOTORS)), HasteCurve(),
 )

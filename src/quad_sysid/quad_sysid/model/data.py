@@ -169,6 +169,18 @@ class AxisData:
                 runs = intact
         return Windows(np.array(inside(runs, length), dtype=np.int64), length)
 
+    def where_measured(self, errors: FloatArray, windows: Windows) -> FloatArray:
+        """Errors (…, windows, length) with straight lines where the rate was lost, as it has."""
+        known = None if self.lost is None else ~self.lost[windows.cells]
+        if known is None or known.all():
+            return errors
+        out, rows = errors.copy(), np.arange(windows.length)
+        for i in np.flatnonzero(known.any(axis=1) & ~known.all(axis=1)):
+            seen = rows[known[i]]
+            for window in out.reshape(-1, *known.shape)[:, i]:
+                window[:] = np.interp(rows, seen, window[seen])
+        return out
+
     @property
     def clock(self) -> FloatArray:
         """(n,) time of each sample since the first flight's first, s, the flights end to end."""

@@ -496,7 +496,8 @@ class Flight:
             - self.data.rate[windows.cells]
         if not self.sensor.derived:
             errors += (v @ (turn**cycle).T).real
-        return Run(errors, 0.5 * (went.rate[:-1] + went.rate[1:]).T, begun.angle, begun.hidden)
+        return Run(self.data.where_measured(errors, windows),
+                   0.5 * (went.rate[:-1] + went.rate[1:]).T, begun.angle, begun.hidden)
 
 
 def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, FloatArray],

@@ -75,8 +75,7 @@ class Evaluation:
                   'completed (after)': self.after, 'reference': self.reference,
                   'black box': self.blackbox}
         lines = [f'  {name} {value:.4g}' for name, value in errors.items() if value is not None]
-        head = (f'{self.axis}: RMS error of the rate, {self.unit}, over {self.windows} free runs '
-                'of 0.5 s')
+        head = f'{self.axis}: RMS error, {self.unit}, over {self.windows} free runs of 0.5 s'
         return '\n'.join([head, *lines, *(f'  {excess}' for excess in self.outside)])
 
 

@@ -38,7 +38,7 @@ from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
 from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
 from quad_sysid.record import IOData, Record
-from quad_sysid.units import Units
+from quad_sysid.units import Units, shown_in
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class AxisFlight:
         """Raises NotInformativeError where the records cannot answer for the axis."""
         data, entry, first = axis_data(records, axis), EVERY[axis], records[0]
         check_usable(data, records)
-        # of surge and sway the command is the lean, which nobody interpolates
+        # of surge and sway it is the lean, which moves between its samples as the angles do
         commands = slice(1, None) if entry.turns else slice(1)
         drawn = [drawn_hz(record.control[:, commands], record.dt)
                  for record in records if entry.turns or entry.index < 0]
@@ -159,10 +159,10 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
     progress(f'{axis}: black-box models')
     fits = _black_boxes(train)
     support = Support.of(train, axis, None if isinstance(fits, str) else fits.surest)
-    reason = _reason(findings, why_not)
+    units = flight.units or EVERY[axis].units
+    reason = _reason(findings, why_not, units)
     no_gains = *refusals, reason if verdict == 'cannot_tell' else ''
-    model = axis_model(findings, flight.gains, support.band, options.effects,
-                       flight.units or EVERY[axis].units, no_gains[0])
+    model = axis_model(findings, flight.gains, support.band, options.effects, units, no_gains[0])
     undetermined = () if options.base is None else \
         lacking(options.base, findings.problem, search_result.base)
     cut_short = search_result.cut_short and (
@@ -267,7 +267,7 @@ def _would_help(findings: Findings, not_searched: str) -> str:
             'was flown')
 
 
-def _reason(findings: Findings, not_searched: str) -> str:
+def _reason(findings: Findings, not_searched: str, units: Units | None = None) -> str:
     """The verdict's reason in words, with what would help; why no effects were sought, if so."""
     verdict, ladder = findings.verdict, findings.ladder
     reason = verdict.reason
@@ -297,10 +297,12 @@ def _reason(findings: Findings, not_searched: str) -> str:
              f'comes again in {again:.0%} of resampled flights only')
     if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
         noise = noise_of(verdict.base)
+        unit, factor = shown_in(units, 'rad/s²')
         reason += (
             f"; the base's error is {verdict.before / verdict.noise_floor:.0f} times the noise of "
-            f'the rate and is taken for gusts, {noise.disturbance_rms:.2g} rad/s² that last '
-            f'some {noise.correlation_s:.2g} s: if the air was still, something slow is missing'
+            f'the rate and is taken for gusts, {factor * noise.disturbance_rms:.2g} {unit} that '
+            f'last some {noise.correlation_s:.2g} s: if the air was still, something slow is '
+            'missing'
         )
     if not verdict.chosen.converged:
         reason += f'{"; " if reason else ""}its fit did not converge: its figures are rough'

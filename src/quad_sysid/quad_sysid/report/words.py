@@ -41,7 +41,7 @@ PLAIN = {
     'viscous_damping': 'viscous damping', 'bias_torque': 'a constant torque',
     UNLISTED: 'a cause that was not compared',
     'mode:second_lag': 'a second lag of the motors', 'mode:lead': 'motors that overshoot',
-    'mode:rotor_lead': "rotors whose own reaction turns the aircraft",
+    'mode:rotor_lead': "a lead by the rotors' own reaction",
     'mode:second_order': 'motors under a speed controller',
     'mode:slow_state': 'a spring on a damper, or a load that relaxes',
     'mode:swinging': 'something that swings', 'mode:hysteresis': 'friction that builds up',
