@@ -46,13 +46,12 @@ def test_inavs_numbers_are_a_part_of_the_motors_range():
     assert high['yaw.rate.kp'] == low['yaw.rate.kp']
 
 
-@pytest.mark.parametrize(('header', 'of_i'), [
-    ({'Firmware revision': 'Betaflight 3.5.7 (1c1bc2ee4) STM32F405'}, 1.0),
-    ({'use_integrated_yaw': '1'}, 1.0), ({}, 2.5),
+@pytest.mark.parametrize('header', [
+    {'Firmware revision': 'Betaflight 3.5.7 (1c1bc2ee4) STM32F405'}, {'use_integrated_yaw': '1'},
 ])
-def test_yaws_i_is_steeper_from_betaflight_4_on_but_for_integrated_yaw(header, of_i):
+def test_yaws_i_is_no_steeper_before_betaflight_4_and_where_yaw_is_integrated(header):
     found = tuning({**BETAFLIGHT, **header}, 0.3).gains
-    assert found['yaw.rate.ki'] == pytest.approx(of_i * 80 * 0.244381 * RAD)
+    assert found['yaw.rate.ki'] == pytest.approx(80 * 0.244381 * RAD)
 
 
 def test_the_types_of_d_filters_have_older_names():
