@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flown_craft import DT, Airframe, X, fly
+from node_process import until
 from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
@@ -65,6 +66,9 @@ class Client:
                 return answer.status, answer.read().decode()
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
+
+    def names(self):
+        return {path.name for path in self.folder.iterdir()}
 
     def job(self, **asked):
         return self.ask('/jobs', json.dumps(asked).encode())
@@ -109,7 +113,6 @@ def started():
 
 
 def test_only_who_has_the_token_on_this_machine_is_answered(server):
-    assert server.base.startswith('http://127.0.0.1:')
     assert server.ask('/files', token=False)[0] == 403
     assert server.ask('/files')[0] == 200
     for wrong in ({'Host': 'example.org'}, {'Origin': 'http://example.org'},
@@ -140,7 +143,7 @@ def test_no_name_leads_out_of_the_folder(server):
 
 
 def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
-    before = {path.name for path in server.folder.iterdir()}
+    before = server.names()
     status, text = server.ask('/upload?name=..%2F..%2F%3Cimg%20src%3Dx%3E%22.csv', b't,a\n')
     assert status == 200
     assert json.loads(text)['path'] == '_img src_x__.csv'
@@ -160,10 +163,9 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
     except urllib.error.URLError:  # it hangs up before all is sent
         status = 400
     assert status == 400
-    after = {path.name for path in server.folder.iterdir()}
-    assert after - before == {'_img src_x__.csv', '_img src_x___2.csv', 'model.json',
-                              'model_2.json'}
-    for name in after - before:
+    assert server.names() - before == {'_img src_x__.csv', '_img src_x___2.csv', 'model.json',
+                                       'model_2.json'}
+    for name in server.names() - before:
         (server.folder / name).unlink()
 
 
@@ -206,21 +208,16 @@ def test_a_name_that_is_no_utf_8_is_listed_and_can_be_chosen(server):
 
 
 def test_an_upload_is_listed_when_it_is_whole_and_none_is_left_cut_off(server):
-    before = {path.name for path in server.folder.iterdir()}
+    before = server.names()
     host, port = server.base.removeprefix('http://').split(':')
     with socket.create_connection((host, int(port)), PATIENCE_S) as line:
         line.sendall(f'POST /upload?name=slow.csv HTTP/1.1\r\nHost: {host}:{port}\r\nCookie: '
                      f'quad_sysid_token={server.token}\r\nContent-Length: 99\r\n\r\nt,a\n'
                      .encode())
-        end = time.monotonic() + PATIENCE_S
-        while not (new := {path.name for path in server.folder.iterdir()} - before):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        assert all(name.startswith(UNFINISHED) for name in new)
+        until(lambda: server.names() - before)
+        assert all(name.startswith(UNFINISHED) for name in server.names() - before)
         assert 'slow.csv' not in server.ask('/files')[1]
-    while {path.name for path in server.folder.iterdir()} != before:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    until(lambda: server.names() == before)
 
 
 def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
@@ -301,9 +298,7 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     queue = Queue(tmp_path / 'results')
     made = queue.add('import log.bin', 'quad-sysid', ['import', str(tmp_path / 'log.bin')])
     after = queue.add('identify', 'quad-sysid', ['identify', str(tmp_path / 'bag')], after=[made])
-    end = time.monotonic() + PATIENCE_S
-    while not after.ended and time.monotonic() < end:
-        time.sleep(0.05)
+    until(lambda: after.ended)
     queue.close()
     assert made.state == after.state == 'failed'
     assert 'log.bin' in made.doing
