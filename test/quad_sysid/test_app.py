@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flown_axis import model_of
 from flown_craft import DT, Airframe, X, fly
 from node_process import until
 from probe import PATIENCE_S
@@ -36,7 +37,6 @@ from quad_sysid.loop.cascade import CascadeGains, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report import sliders
 
 pytest.importorskip('starlette', reason="the extra is not installed: pip install '…[app]'")
@@ -560,11 +560,9 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
 
 @pytest.mark.browser
 def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, tmp_path):
-    values = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
     flown = CascadeGains(4.0, 0.07, 0.05, 0.0012, d_filter_hz=35.0)
-    model = AxisModel('roll', 0.004, 42.0,
-                      tuple(Parameter(n, v, None, '') for n, v in values.items()),
-                      active_gains=flown.to_mapping('roll', constants=True))
+    model = dataclasses.replace(model_of(),
+                                active_gains=flown.to_mapping('roll', constants=True))
     (tmp_path / 'page.html').write_text(
         f'<html><body>{sliders.sliders(model, {})}{sliders.script()}</body></html>')
     browser.send('Page.navigate', url=(tmp_path / 'page.html').as_uri())
