@@ -68,7 +68,7 @@ def test_a_rate_that_does_not_fit_is_told():
 
 
 @pytest.mark.usefixtures('quick')
-def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
+def test_a_flight_to_a_result_in_one_call(plain_flight, refusal):
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
     assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']
@@ -84,10 +84,6 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     assert '<pre>' in shown
     assert '<img' in shown
     assert result.plot('free_run').axes
-    saved = result.save(tmp_path / 'out', pictures=False)
-    assert {'report.json', 'model.json', 'report.html'} <= {
-        path.name for path in saved.folder.iterdir()
-    }
     found = quad_sysid.evaluate(result.model, plain_flight)
     z = plain_flight.axis('roll', 'train')
     model = quad_sysid.bj(z, 2, 2, 2, 2, 3)
