@@ -9,7 +9,6 @@ import os
 import re
 import select
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -74,14 +73,6 @@ class Client:
         return self.ask('/jobs', json.dumps(asked).encode())
 
 
-class Server(Client):
-    def __init__(self, folder: Path) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
-             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
-        super().__init__(folder, self.process.stdout.readline().strip())
-
-
 @pytest.fixture(scope='module')
 def server(tmp_path_factory, plain_bag):
     folder = tmp_path_factory.mktemp('app') / 'flights'
@@ -98,18 +89,16 @@ def server(tmp_path_factory, plain_bag):
 
 
 @pytest.fixture
-def started():
-    """Servers on folders; all end with the test."""
-    servers = []
+def started(run):
+    """A function that starts the app on a folder as a process."""
 
     def start(folder):
-        servers.append(Server(folder))
-        return servers[-1]
+        process = run(sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app',
+                      folder, '--no-browser', '--most-mb', MOST_MB)
+        process.until(lambda: '\n' in process.printed)
+        return process, Client(folder, process.printed.splitlines()[0])
 
-    yield start
-    for server in servers:
-        server.process.send_signal(signal.SIGINT)
-        assert server.process.wait(PATIENCE_S) in (0, 130)
+    return start
 
 
 def test_only_who_has_the_token_on_this_machine_is_answered(server):
@@ -316,13 +305,14 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
 def test_a_folder_that_is_gone_is_one_line(started, tmp_path):
     folder = tmp_path / 'flights'
     folder.mkdir()
-    server = started(folder)
+    process, server = started(folder)
     folder.rmdir()
     status, text = server.ask('/upload?name=a.csv', b't\n')
     assert status == 400
     assert json.loads(text)['error'].startswith('a.csv: No such file or directory; check')
     status, text = server.ask('/upload?name=a.exe', b't\n')
     assert json.loads(text)['error'].startswith('a.exe: no log by its name')
+    assert process.end() in (0, 130)
 
 
 def test_an_error_stands_on_a_line_of_its_own_after_progress(capsys, monkeypatch):
@@ -591,7 +581,7 @@ def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, 
 def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
         started, browser, tmp_path, plain_bag):
     (tmp_path / 'flights').mkdir()
-    server = started(tmp_path / 'flights')
+    process, server = started(tmp_path / 'flights')
     for name, content in (('a.csv', 't\n'), ('notes.doc', 'x'), ('big.bin', 'x' * 1_100_000)):
         (tmp_path / name).write_text(content)
     browser.send('Page.navigate', url=server.address)
@@ -611,7 +601,6 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     browser.until(f"{said}.includes('a.csv is there as a_2.csv')")
     drop(plain_bag)  # a folder
     browser.until(f"{said}.includes('.mcap')")
-    server.process.send_signal(signal.SIGINT)
-    server.process.wait(PATIENCE_S)
+    process.end()
     browser.until(f"{said}.includes('start quad-sysid app again')")
     browser.errors.clear()  # that the connection was refused
