@@ -398,7 +398,7 @@ def test_every_function_takes_what_the_others_return(result, tmp_path):
     assert box.bode([3.0]).w[0] == 3.0
 
 
-def test_result_and_model_are_copied_pickled_and_written_without_loss(result):
+def test_result_and_model_are_copied_pickled_and_written_without_loss(result, refusal):
     found, _ = result
     text = found.model.to_json()
     for again in (copy.deepcopy(found.model), pickle.loads(pickle.dumps(found.model)),  # noqa: S301
@@ -413,18 +413,15 @@ def test_result_and_model_are_copied_pickled_and_written_without_loss(result):
         assert one.effects == found.effects
         assert one.gains == found.gains
     assert repr(found) == 'roll: effects_added coulomb_friction'
-    with pytest.raises(qs.BadInputError, match='a result of from_json has no pictures'):
-        one.plot('free_run')
-    with pytest.raises(qs.BadInputError, match='no result'):
-        qs.Result.from_json(json.dumps({}))
+    assert 'a result of from_json has no pictures' in refusal(one.plot, 'free_run')
+    assert 'no result' in refusal(qs.Result.from_json, json.dumps({}))
 
 
-def test_a_result_of_several_axes_has_no_verdict_and_says_which_it_has():
+def test_a_result_of_several_axes_has_no_verdict_and_says_which_it_has(refusal):
     answers = dict.fromkeys(('roll', 'pitch'))
     several = qs.Result(answers, ('none',))
     assert not hasattr(several, 'verdict')
-    with pytest.raises(qs.BadInputError, match='has several axes'):
-        several.verdict  # noqa: B018
+    assert 'has several axes' in refusal(getattr, several, 'verdict')
 
 
 def test_the_page_for_scripts_runs_as_it_stands(result, tmp_path, monkeypatch):
