@@ -1,4 +1,4 @@
-"""Logs as PX4 (.ulg) and ArduPilot (.bin) write them, of columns."""
+"""Logs as PX4 (.ulg) and ArduPilot (.bin) write them, and text tables, of columns."""
 
 import struct
 from pathlib import Path
@@ -10,6 +10,13 @@ from scipy.spatial.transform import Rotation
 def quaternions(angles: np.ndarray) -> np.ndarray:
     """(n, 4) w x y z of roll, pitch, yaw (n, 3)."""
     return np.roll(Rotation.from_euler('ZYX', angles[:, ::-1]).as_quat(), 1, axis=1)
+
+
+def text_table(path: Path, columns: dict, delimiter: str = ',', above: str = '') -> Path:
+    """The columns below their names, exact to the last digit; `.gz` packs them."""
+    np.savetxt(path, np.column_stack([*columns.values()]), '%.17g', delimiter, comments='',
+               header=above + delimiter.join(columns))
+    return path
 
 
 def ulog(path: Path, topics: dict, parameters: dict, drop=(), later=()) -> Path:

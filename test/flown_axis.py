@@ -1,7 +1,7 @@
 """An axis flown in plain Python, for tests of the analysis: known plant, known noise, by hand.
 
 It shares no line with the analysis: the midpoint rule at 1 kHz instead of exact steps, the
-controller and the effects written out where they act.
+controller and the effects written out where they act. `model_of` is what an identification says.
 """
 
 import math
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quad_sysid.model import AxisModel, EffectEstimate, Parameter
 from quad_sysid.record import GainChange, Record, Segment
 
 DT = 0.004
@@ -122,3 +123,13 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
         rate_setpoint=np.stack([3.0 * (reference - angles), zero, zero], axis=1),
         gains=(GainChange(0.0, GAINS),),
     )
+
+
+def model_of(
+    *effects: EffectEstimate, gyro_filter_hz: float | None = 42.0, **base: float
+) -> AxisModel:
+    """A model as if it had been identified: the paper's roll axis, but for these numbers."""
+    values = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0} | base
+    return AxisModel('roll', DT, gyro_filter_hz, tuple(
+        Parameter(name, value, 0.01, '') for name, value in values.items()), effects,
+        mean_battery_v=11.0)

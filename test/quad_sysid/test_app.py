@@ -9,7 +9,6 @@ import os
 import re
 import select
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -22,7 +21,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flown_axis import model_of
 from flown_craft import DT, Airframe, X, fly
+from node_process import until
 from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
@@ -35,7 +36,6 @@ from quad_sysid.loop.cascade import CascadeGains, margins, open_loop
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report import sliders
 from quad_sysid.report.style import script
 
@@ -68,16 +68,11 @@ class Client:
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
 
+    def names(self):
+        return {path.name for path in self.folder.iterdir()}
+
     def job(self, **asked):
         return self.ask('/jobs', json.dumps(asked).encode())
-
-
-class Server(Client):
-    def __init__(self, folder: Path) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app', folder,
-             '--no-browser', '--most-mb', str(MOST_MB)], stdout=subprocess.PIPE, text=True)
-        super().__init__(folder, self.process.stdout.readline().strip())
 
 
 @pytest.fixture(scope='module')
@@ -96,22 +91,19 @@ def server(tmp_path_factory, plain_bag):
 
 
 @pytest.fixture
-def started():
-    """Servers on folders; all end with the test."""
-    servers = []
+def started(run):
+    """A function that starts the app on a folder as a process."""
 
     def start(folder):
-        servers.append(Server(folder))
-        return servers[-1]
+        process = run(sys.executable, '-c', 'from quad_sysid.start import main; main()', 'app',
+                      folder, '--no-browser', '--most-mb', MOST_MB)
+        process.until(lambda: '\n' in process.printed)
+        return process, Client(folder, process.printed.splitlines()[0])
 
-    yield start
-    for server in servers:
-        server.process.send_signal(signal.SIGINT)
-        assert server.process.wait(PATIENCE_S) in (0, 130)
+    return start
 
 
 def test_only_who_has_the_token_on_this_machine_is_answered(server):
-    assert server.base.startswith('http://127.0.0.1:')
     assert server.ask('/files', token=False)[0] == 403
     assert server.ask('/files')[0] == 200
     for wrong in ({'Host': 'example.org'}, {'Origin': 'http://example.org'},
@@ -144,7 +136,7 @@ def test_no_name_leads_out_of_the_folder(server):
 
 
 def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
-    before = {path.name for path in server.folder.iterdir()}
+    before = server.names()
     status, text = server.ask('/upload?name=..%2F..%2F%3Cimg%20src%3Dx%3E%22.csv', b't,a\n')
     assert status == 200
     assert json.loads(text)['path'] == '_img src_x__.csv'
@@ -164,10 +156,9 @@ def test_what_is_dropped_gets_a_safe_name_and_a_limit(server):
     except urllib.error.URLError:  # it hangs up before all is sent
         status = 400
     assert status == 400
-    after = {path.name for path in server.folder.iterdir()}
-    assert after - before == {'_img src_x__.csv', '_img src_x___2.csv', 'model.json',
-                              'model_2.json'}
-    for name in after - before:
+    assert server.names() - before == {'_img src_x__.csv', '_img src_x___2.csv', 'model.json',
+                                       'model_2.json'}
+    for name in server.names() - before:
         (server.folder / name).unlink()
 
 
@@ -210,21 +201,16 @@ def test_a_name_that_is_no_utf_8_is_listed_and_can_be_chosen(server):
 
 
 def test_an_upload_is_listed_when_it_is_whole_and_none_is_left_cut_off(server):
-    before = {path.name for path in server.folder.iterdir()}
+    before = server.names()
     host, port = server.base.removeprefix('http://').split(':')
     with socket.create_connection((host, int(port)), PATIENCE_S) as line:
         line.sendall(f'POST /upload?name=slow.csv HTTP/1.1\r\nHost: {host}:{port}\r\nCookie: '
                      f'quad_sysid_token_{port}={server.token}\r\nContent-Length: 99\r\n\r\nt,a\n'
                      .encode())
-        end = time.monotonic() + PATIENCE_S
-        while not (new := {path.name for path in server.folder.iterdir()} - before):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        assert all(name.startswith(UNFINISHED) for name in new)
+        until(lambda: server.names() - before)
+        assert all(name.startswith(UNFINISHED) for name in server.names() - before)
         assert 'slow.csv' not in server.ask('/files')[1]
-    while {path.name for path in server.folder.iterdir()} != before:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    until(lambda: server.names() == before)
 
 
 def test_a_body_of_200_mb_is_refused_without_being_held(tmp_path):
@@ -305,9 +291,7 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     queue = Queue(tmp_path / 'results')
     made = queue.add('import log.bin', 'quad-sysid', ['import', str(tmp_path / 'log.bin')])
     after = queue.add('identify', 'quad-sysid', ['identify', str(tmp_path / 'bag')], after=[made])
-    end = time.monotonic() + PATIENCE_S
-    while not after.ended and time.monotonic() < end:
-        time.sleep(0.05)
+    until(lambda: after.ended)
     queue.close()
     assert made.state == after.state == 'failed'
     assert 'log.bin' in made.doing
@@ -325,7 +309,7 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
 def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refused):
     folder = tmp_path / 'flights'
     folder.mkdir()
-    server = started(folder)
+    process, server = started(folder)
     assert 'flights: has an app that runs' in refused(main, 'app', folder, '--no-browser')
     folder.rmdir()
     status, text = server.ask('/upload?name=a.csv', b't\n')
@@ -333,6 +317,7 @@ def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refu
     assert json.loads(text)['error'].startswith('a.csv: No such file or directory; check')
     status, text = server.ask('/upload?name=a.exe', b't\n')
     assert json.loads(text)['error'].startswith('a.exe: no log by its name')
+    assert process.end() in (0, 130)
 
 
 def test_an_error_stands_on_a_line_of_its_own_after_progress(capsys, monkeypatch):
@@ -574,11 +559,9 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
 
 @pytest.mark.browser
 def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, tmp_path):
-    values = {'gain': 450.0, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
     flown = CascadeGains(4.0, 0.07, 0.05, 0.0012, d_filter_hz=35.0)
-    model = AxisModel('roll', 0.004, 42.0,
-                      tuple(Parameter(n, v, None, '') for n, v in values.items()),
-                      active_gains=flown.to_mapping('roll', constants=True))
+    model = dataclasses.replace(model_of(),
+                                active_gains=flown.to_mapping('roll', constants=True))
     (tmp_path / 'page.html').write_text(
         f'<html><body>{sliders.sliders(model, {})}{script("sliders.js")}</body></html>')
     browser.send('Page.navigate', url=(tmp_path / 'page.html').as_uri())
@@ -607,10 +590,10 @@ def test_sliders_redraw_the_step_and_the_margins_of_the_simulated_loop(browser, 
 def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
         started, browser, tmp_path, plain_bag):
     (tmp_path / 'flights').mkdir()
-    server = started(tmp_path / 'flights')
+    process, server = started(tmp_path / 'flights')
     for name, content in (('a.csv', 't\n'), ('notes.doc', 'x'), ('big.bin', 'x' * 1_100_000)):
         (tmp_path / name).write_text(content)
-    for url in (server.address, started(tmp_path).address):  # and the app of another folder
+    for url in (server.address, started(tmp_path)[1].address):  # and the app of another folder
         browser.send('Page.navigate', url=url)
         browser.until("!!document.querySelector('#files li')")
     browser.send('Page.navigate', url=f'{server.base}/')
@@ -630,7 +613,6 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     browser.until(f"{said}.includes('a.csv is there as a_2.csv')")
     drop(plain_bag)  # a folder
     browser.until(f"{said}.includes('.mcap')")
-    server.process.send_signal(signal.SIGINT)
-    server.process.wait(PATIENCE_S)
+    process.end()
     browser.until(f"{said}.includes('start quad-sysid app again')")
     browser.errors.clear()  # that the connection was refused

@@ -86,16 +86,13 @@ def record_or_line(path: Path) -> bool:
     [('mcap', 'none'), ('mcap', 'message'), ('mcap', 'file'), ('mcap', 'storage'),
      ('sqlite3', 'none'), ('sqlite3', 'message'), ('sqlite3', 'file'), ('bare', 'message')],
 )
-def test_a_record_survives_every_storage(tmp_path, storage, compression):
+def test_a_record_survives_every_storage(tmp_path, refusal, storage, compression):
     want, kind = make_record(), storage.replace('bare', 'mcap')
     path = write_bag(want, tmp_path / 'bag', BagOptions(kind, compression))
-    with pytest.raises(BadInputError, match='not overwritten'):
-        write_bag(want, path)
+    assert 'not overwritten' in refusal(write_bag, want, path)
     if storage == 'bare':
         path = shutil.copy(path / 'bag.mcap', tmp_path / 'bare.mcap')
     got = read_bag(path)
-    with pytest.raises(ValueError, match='read-only'):
-        got.rates[0, 0] = 1.0
     assert (got.dt, got.t0_ns, got.warnings, got.missing) == (0.004, T0, (), ())
     for name in (
         'rates', 'acceleration', 'motors', 'wrench', 'control', 'attitude_setpoint',

@@ -56,18 +56,6 @@ def test_fits_reach_the_ceiling_and_their_covariance_on_each_seed(study):
     np.testing.assert_allclose(np.mean(nees, axis=0), 8.0, atol=4 * math.sqrt(16 / 3))
 
 
-def test_oe_covariance_allows_for_coloured_residuals():
-    truth = polynomial_model([0, 0.5, 0.2], F=[1, -0.9], dt=0.1)
-    distances = []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        u = np.repeat(rng.choice([-1.0, 1.0], 250), 8)
-        noise = filter_signal(np.ones(1), np.array([1.0, -0.95]), 0.1 * rng.standard_normal(2000))
-        model = qs.oe(IOData(u, qs.simulate(truth, u) + noise, 0.1), 2, 1, 1)
-        distances.append(distance(model, truth))
-    assert np.mean(distances) == pytest.approx(3.0, abs=4 * math.sqrt(6 / 60))
-
-
 def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
     truth = polynomial_model([0, 0.3, 0.1], F=[1, -0.9], C=[1, 0.5], D=[1, -0.9], dt=0.004,
                              noise_variance=0.05)
@@ -84,23 +72,27 @@ def test_iv4_with_the_reference_is_right_where_least_squares_is_biased():
     assert abs(np.mean(least)) > 5 * abs(np.mean([x[0] for x in off]))
 
 
-@pytest.mark.parametrize(('f', 'd'), [
-    ([1.0, -0.9], [1.0]), ([1.0, -0.9], [1.0, -0.5, 0.9]), ([1.0, -1.6, 0.63], [1.0, -0.995])])
-def test_iv4_covariance_allows_for_what_its_filter_leaves(f, d):
+@pytest.mark.parametrize(('fit', 'f', 'd'), [
+    (qs.iv4, [1.0, -0.9], [1.0]), (qs.iv4, [1.0, -0.9], [1.0, -0.5, 0.9]),
+    (qs.iv4, [1.0, -1.6, 0.63], [1.0, -0.995]), (qs.oe, [1.0, -0.9], [1.0, -0.95])])
+def test_covariance_allows_for_coloured_residuals(fit, f, d):
     """White noise, a resonance and a drift beside the plant, in two segments.
 
     The squared distance from the truth is chi² with p degrees of freedom: its mean over 60 seeds
     within 4 sigma.
     """
     truth = polynomial_model([0, 0.5, 0.2], F=f, D=d, dt=0.1)
+    orders, wanted = (len(f) - 1, 2, 1), [*f[1:], 0.5, 0.2]
+    if fit is qs.oe:
+        orders, wanted = (2, len(f) - 1, 1), [0.5, 0.2, *f[1:]]
     distances = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([-1.0, 1.0], 250), 8)
         noise = filter_signal(np.ones(1), truth.D, 0.1 * rng.standard_normal(2000))
         z = IOData(u, qs.simulate(truth, u) + noise, 0.1, segments=[(0, 900), (900, 2000)])
-        model = qs.iv4(z, len(f) - 1, 2, 1)
-        error = model.parameters - [*f[1:], 0.5, 0.2]
+        model = fit(z, *orders)
+        error = model.parameters - wanted
         distances.append(error @ np.linalg.solve(model.covariance, error))
     p = len(f) + 1
     assert np.mean(distances) == pytest.approx(p, abs=4 * math.sqrt(2 * p / 60))

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flown_axis import model_of
 from scipy.io import loadmat
 
 from quad_sysid.cli import main
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import matrices
-from quad_sysid.model import AxisModel, Parameter
 from quad_sysid.report.model_file import save_models
 
 BASE = {'gain': 450.0, 'lag': 0.042, 'delay': 0.0094, 'damping': 0.4, 'bias': 0.1}
@@ -19,10 +19,8 @@ DT, FILTER_HZ = 0.004, 42.0
 
 @pytest.fixture
 def model():
-    return AxisModel(
-        'roll', DT, FILTER_HZ, tuple(Parameter(n, v, None, '1') for n, v in BASE.items()),
-        (estimate_of('coulomb_friction', (0.16,), std=0.01),),
-    )
+    return model_of(estimate_of('coulomb_friction', (0.16,), std=0.01), **BASE,
+                    gyro_filter_hz=FILTER_HZ)
 
 
 def test_a_model_with_play_is_exported_without_it(model):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from flown_axis import DT, GAINS, SHORT, UNSEEN, Axis, fly
 
-from quad_sysid import comparison
 from quad_sysid.discover.accept import Unseen
 from quad_sysid.discover.base import best_base
 from quad_sysid.estimate.fit import Problem, stays_bounded
@@ -54,21 +53,6 @@ def test_the_simulated_loop_begins_at_the_angle_of_the_flight(plain_flight, plai
     data = axis_data([turned], 'roll')
     found = closed_loop(plain_answer.model, loop_of([turned], 'roll'), data)
     assert found.rms_after < 0.05
-
-
-def test_the_same_base_with_other_friction_has_not_changed(true_model):
-    """What the base alone takes up of an effect is no change of the base."""
-    def flown(torque: float, gain_alone: float):
-        friction = estimate_of('coulomb_friction', [torque, 0.004], std=0.01)
-        sure = tuple(replace(p, std=1e-3 * abs(p.value)) for p in true_model.base)
-        alone = tuple(replace(p, value=gain_alone) if p.name == 'gain' else p for p in sure)
-        model = replace(true_model, base=sure, plain=alone, effects=(friction,))
-        return comparison.Flight('x', {'roll': comparison.of_model(model)}, {})
-
-    compared = comparison.compare(flown(0.8, 400.0), [flown(1.2, 350.0)])
-    ((_, changes),) = compared
-    assert 'changed: roll coulomb_friction.torque\n' in str(compared)
-    assert [c.name for c in changes if c.changed] == ['coulomb_friction.torque']
 
 
 def filtered(hz: float, seed: int, plan=SHORT) -> Record:

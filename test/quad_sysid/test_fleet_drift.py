@@ -11,7 +11,6 @@ import json
 import numpy as np
 import pytest
 
-from quad_sysid.errors import BadInputError
 from quad_sysid.fleets.drift import Series, _mean, over_fleet
 from quad_sysid.fleets.page import Fleet
 
@@ -67,7 +66,7 @@ def alarms(one):
     return [(d.aircraft, q.axis, q.name) for q, d in one.drifts], list(one.odd)
 
 
-def test_a_wearing_bearing_and_a_weakening_motor_are_named_and_dated():
+def test_a_wearing_bearing_and_a_weakening_motor_are_named_and_dated(refusal):
     found = fleet(1)
     drifts, odd = alarms(found)
     assert sorted(drifts) == sorted((f'craft_{k:02d}', axis, name)
@@ -90,8 +89,7 @@ def test_a_wearing_bearing_and_a_weakening_motor_are_named_and_dated():
     assert len(found.only(since='2026-09-01').flights) < 0.6 * 300
     (one,) = {len(q.statistics.mean.levels) for q in found.only(group_by='none').quantities}
     assert one == 1
-    with pytest.raises(BadInputError, match='group_by'):
-        found.only(group_by='month')
+    assert 'group_by' in refusal(found.only, group_by='month')
 
 
 def test_a_step_is_dated_by_the_last_flight_before_it():

@@ -234,12 +234,6 @@ held = rolling(0.005 * np.random.default_rng(0).standard_normal(7500))
 silent = rolling(0.0)
 
 
-def flat_out(record):
-    control = np.zeros_like(record.control)
-    control[:, 0] = 1.0
-    return replace(record, motors=np.ones((record.n, 4)), control=control)
-
-
 def clipped(share):
     """A gyro whose range is too small for a share of the samples."""
 
@@ -297,7 +291,6 @@ def only(role, axis='roll'):
         (only('validation'), 'the flight holds no training segment; name one with --train'),
         (only('train', 'pitch'), 'no training segment is on this axis (on pitch only); excite it'),
         (relay, 'all motors are at their limits (0 or 1) during 100 % of the training'),
-        (flat_out, 'all motors are at their limits'),
         (clipped(0.15), 'the gyro is at its limit; widen its range'),
         (clipped(0.08), ''),
         (silent, 'the measured rate is constant'),

@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from quad_sysid.imports.clock import (
-    Stream,
-    cycles,
-    every_cycle,
-    hold,
-    mean_of_next_cycle,
-    unroll,
-)
+from quad_sysid.imports.clock import Stream, cycles, every_cycle, hold, unroll
 
 DT, N = 0.004, 2000
 T = DT * np.arange(N)
@@ -71,22 +64,6 @@ def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():
 
 def rows(t: np.ndarray) -> np.ndarray:
     return np.column_stack([np.arange(len(t)), np.zeros(len(t))])
-
-
-def test_a_log_of_every_second_cycle_has_the_commands_between_them():
-    """A sine of 4 Hz by a controller of 400 Hz: held, half of its samples are 2.5 ms late."""
-    def sine(t):
-        return np.sin(8.0 * np.pi * t)[:, None]
-
-    loops = 0.0025 * np.arange(800)
-    kept = Stream(loops[::2], sine(loops[::2]))
-    times = 0.005 * np.arange(20, 380)
-    true = mean_of_next_cycle(Stream(loops, sine(loops)), times, 0.005)
-    mended = mean_of_next_cycle(every_cycle(kept, 0.0025), times, 0.005)
-    np.testing.assert_allclose(mended, true, atol=0.002)
-    assert np.abs(mean_of_next_cycle(kept, times, 0.005) - true).max() > 0.02
-    for loop_s in (None, 0.005):  # not known, or all of them are logged
-        assert every_cycle(kept, loop_s) is kept
 
 
 def test_a_pause_of_the_commands_is_not_drawn_over():

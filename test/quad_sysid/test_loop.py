@@ -5,6 +5,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from flown_axis import model_of
 
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.simulation import Excited, fly
@@ -17,7 +18,7 @@ from quad_sysid.loop.from_model import gain_range, loop_plant, not_in_the_loop
 from quad_sysid.loop.linear import STILL, linear, loops_of
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade, simulate_polynomial_cascade
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import EffectEstimate
 from quad_sysid.pipeline.selection import approaches, controller, reproduced
 from quad_sysid.record import IOData
 from quad_sysid.signals.waveforms import prbs
@@ -80,7 +81,7 @@ RINGING = ('resonance', 44.0 / (2.0 * np.pi), 0.05, 0.1, 0.2)
 )
 def test_the_plant_is_the_zero_order_hold_of_python_control(hz, found, drive, tolerance, most):
     """Two cycles of delay; 350 rad/s are beyond any loop."""
-    model = replace(model_of(*(effect(*one) for one in found)), gyro_filter_hz=hz)
+    model = model_of(*(effect(*one) for one in found), gyro_filter_hz=hz)
     exact = control.c2d(450.0 * drive / (S + 0.4), DT, 'zoh')
     omega = np.geomspace(0.5, most, 60)
     z = np.exp(1j * omega * DT)
@@ -148,11 +149,6 @@ def test_describing_gains_are_those_of_the_textbook():
     dead = linear(loop_plant(model_of(effect('dead_zone', 0.05))), (2.0, 0.2, 0.1))
     want = 1 - 2 / np.pi * (np.arcsin(0.5) + 0.5 * np.sqrt(0.75))
     assert dead.plant.command_effects[1][0].effect.rows[0, 0] == pytest.approx(want, rel=5e-3)
-
-
-def model_of(*effects: EffectEstimate) -> AxisModel:
-    base = tuple(Parameter(n, v, 0.01, '') for n, v in BASE.items())
-    return AxisModel('roll', DT, 42.0, base, effects, mean_battery_v=11.0)
 
 
 def effect(

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from flown_craft import DT, Airframe, X, fly
 
-from quad_sysid import contract
-from quad_sysid.craft import X as CONTRACT
 from quad_sysid.craft import of_betaflight
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import ForeignLog
@@ -53,11 +51,6 @@ def test_commands_that_are_exchanged_are_told(order, lines):
     found = exchanged(commands_of(rates, commands, DT), rates, commands, DT)
     assert len(found) == lines
     assert all('exchanged?' in line for line in found)
-
-
-def test_the_contracts_mixer_is_that_of_its_frame():
-    np.testing.assert_array_equal(contract.MIXER, CONTRACT.mixer)
-    np.testing.assert_array_equal(contract.MIXER_INVERSE, CONTRACT.inverse)
 
 
 def test_a_crash_and_a_time_in_the_hand_do_not_hide_the_layout(tmp_path):

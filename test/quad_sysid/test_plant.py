@@ -12,6 +12,7 @@ from unittest import mock
 import control as control_system
 import numpy as np
 import pytest
+from flown_axis import model_of
 
 from quad_sysid.contract import motors_from_wrench
 from quad_sysid.craft import X
@@ -24,7 +25,7 @@ from quad_sysid.loop.from_model import loop_plant, not_in_the_loop, share_outsid
 from quad_sysid.loop.linear import STILL, Level, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import running, simulate_cascade
-from quad_sysid.model import AxisModel, EffectEstimate, Parameter
+from quad_sysid.model import AxisModel, EffectEstimate
 from quad_sysid.model.data import AxisData, Windows
 from quad_sysid.model.effect import ActingEffect, Drive, Effect, Part, Spec
 from quad_sysid.model.flight import Flight, Prediction
@@ -270,12 +271,6 @@ def test_flights_at_once_are_each_as_alone():
 
 
 GAINS = CascadeGains.default('roll')
-
-
-def model_of(*found: EffectEstimate, gain: float = 450.0) -> AxisModel:
-    values = {'gain': gain, 'lag': 0.043, 'delay': 0.008, 'damping': 0.4, 'bias': 0.0}
-    base = tuple(Parameter(name, value, 0.01, '') for name, value in values.items())
-    return AxisModel('roll', DT, 42.0, base, found, mean_battery_v=12.0, mean_throttle=0.5)
 
 
 def estimated(effect, p: np.ndarray, settings=None) -> EffectEstimate:

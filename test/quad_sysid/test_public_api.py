@@ -47,7 +47,7 @@ def test_the_import_loads_nothing_heavy_and_the_models_need_neither_ros_nor_matp
     ) == 'ARX 1 1 1 True'
 
 
-def test_a_rate_that_does_not_fit_is_told():
+def test_a_rate_that_does_not_fit_is_told(refusal):
     rng = np.random.default_rng(0)
     u = rng.standard_normal(300)
     y = np.roll(u, 1) + 0.1 * rng.standard_normal(300)
@@ -56,19 +56,15 @@ def test_a_rate_that_does_not_fit_is_told():
     for call in (lambda m, z: quad_sysid.compare(z, m),
                  lambda m, z: quad_sysid.residual_test(z, m),
                  lambda m, z: quad_sysid.predict(m, z, 1)):
-        with pytest.raises(ValueError, match='100 Hz: found 50 Hz'):
-            call(model, other)
+        assert '100 Hz: found 50 Hz' in refusal(call, model, other)
     for call in (quad_sysid.compare, quad_sysid.residual_test):
-        with pytest.raises(ValueError, match='the data come first'):
-            call(model, other)
-    with pytest.raises(ValueError, match='model of an axis comes first'):
-        quad_sysid.evaluate(other, model)
-    with pytest.raises(ValueError, match='greybox'):
-        quad_sysid.greybox(quad_sysid.IOData(u, y, 0.01))
+        assert 'the data come first' in refusal(call, model, other)
+    assert 'model of an axis comes first' in refusal(quad_sysid.evaluate, other, model)
+    assert 'greybox' in refusal(quad_sysid.greybox, quad_sysid.IOData(u, y, 0.01))
 
 
 @pytest.mark.usefixtures('quick')
-def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
+def test_a_flight_to_a_result_in_one_call(plain_flight, refusal):
     result = quad_sysid.identify(plain_flight, axes='roll', effects=())
     assert (result.verdict, result.effects, result.rivals) == ('not_searched', (), {})
     assert list(result) == ['roll']
@@ -84,10 +80,6 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, tmp_path, refusal):
     assert '<pre>' in shown
     assert '<img' in shown
     assert result.plot('free_run').axes
-    saved = result.save(tmp_path / 'out', pictures=False)
-    assert {'report.json', 'model.json', 'report.html'} <= {
-        path.name for path in saved.folder.iterdir()
-    }
     found = quad_sysid.evaluate(result.model, plain_flight)
     z = plain_flight.axis('roll', 'train')
     model = quad_sysid.bj(z, 2, 2, 2, 2, 3)

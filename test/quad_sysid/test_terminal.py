@@ -3,6 +3,7 @@
 That a piped answer is plain and fits 80 columns, test_commands.py shows.
 """
 
+import re
 from pathlib import Path
 
 import numba
@@ -14,9 +15,6 @@ from quad_sysid.arguments import progress
 from quad_sysid.cli import main
 from quad_sysid.model.laws import hats
 
-COMMANDS = ('inspect', 'identify', 'evaluate', 'import', 'design-excitation', 'export', 'compare',
-            'fleet', 'compile')
-
 
 def shown_by(arguments: list[str], capsys) -> str:
     with pytest.raises(SystemExit) as ended:
@@ -25,10 +23,10 @@ def shown_by(arguments: list[str], capsys) -> str:
     return capsys.readouterr().out
 
 
-def test_every_command_is_listed_and_has_an_example_in_its_help(capsys):
-    listed = shown_by(['--help'], capsys)
-    for name in COMMANDS:
-        assert f'\n    {name}' in listed
+def test_every_command_has_an_example_in_its_help(capsys):
+    names = re.findall(r'^    ([a-z-]+)', shown_by(['--help'], capsys), re.MULTILINE)
+    assert len(names) >= 11
+    for name in names:
         told = ' '.join(shown_by([name, '--help'], capsys).split())
         assert f'quad-sysid {name}' in told.partition('example: ')[2]
 
