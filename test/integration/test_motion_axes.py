@@ -157,10 +157,11 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert not np.isfinite(back.velocity[~seen]).any()
 
 
-@pytest.mark.parametrize('every', [1, 5])
-def test_a_lean_acts_from_one_sample_to_the_next(every):
+@pytest.mark.parametrize('every,lost', [(1, []), (5, []), (5, [12, 33])])
+def test_a_lean_acts_from_one_sample_to_the_next(every, lost):
     t = 0.02 / every * np.arange(100 * every)
     angles = np.column_stack([0.0 * t, np.arctan(0.1 * t), 0.0 * t])
+    angles[lost] = np.nan
     speed = np.column_stack([0.05 * t**2, 0.0 * t, 0.0 * t])
     speed[np.arange(t.size) % every != 0] = np.nan
     record = Record('a flight', 0.02 / every, np.zeros((t.size, 3)), np.ones((t.size, 4)),

@@ -359,18 +359,21 @@ class Record:
         seen = np.zeros(n, dtype=bool)
         nearest = np.round((measured - phase) / count).astype(int)
         seen[nearest[(nearest >= 0) & (nearest < n)]] = True
+        angles = None if self.angles is None else across_gaps(
+            self.angles, SHORT_GAP_S / self.dt)  # else a lost sample costs all cells that it is in
         arrays: dict[str, Any] = {}
         for array in WIDTHS:
             values = getattr(self, array)
-            if array == 'lean' and self.angles is not None:
+            if array == 'lean' and angles is not None:
                 # the angles know how it moves between its samples, and act up to the next
-                tilt = lean(self.angles)
+                tilt = lean(angles)
                 values = between(tilt if values is None else tilt + across_gaps(
                     values - tilt, SPEED_GAP_S / self.dt))
             elif values is None:
                 continue
-            elif array in SPARSE:
-                values = across_gaps(values, SPEED_GAP_S / self.dt)
+            else:
+                values = across_gaps(
+                    values, (SPEED_GAP_S if array in SPARSE else SHORT_GAP_S) / self.dt)
             values = cells(values)
             values = values.mean(axis=1) if array in ACTING else values[:, 0]
             if array in {'velocity', 'altitude'}:
@@ -426,7 +429,7 @@ def across_gaps(values: FloatArray, most: float) -> FloatArray:
     out, rows = values.reshape(values.shape[0], -1).copy(), np.arange(values.shape[0])
     for column in out.T:
         finite = np.flatnonzero(np.isfinite(column))
-        if finite.size < 2:
+        if finite.size < 2 or finite.size == rows.size:
             continue
         after = np.clip(np.searchsorted(finite, rows), 1, finite.size - 1)
         near = (finite[after] - finite[after - 1] <= most) & (rows >= finite[0])
