@@ -157,7 +157,7 @@ def test_a_bag_holds_what_a_record_says_of_the_motion(tmp_path):
     assert not np.isfinite(back.velocity[~seen]).any()
 
 
-@pytest.mark.parametrize('every,lost', [(1, []), (5, []), (5, [12, 33])])
+@pytest.mark.parametrize(('every', 'lost'), [(1, []), (5, []), (5, [12, 33])])
 def test_a_lean_acts_from_one_sample_to_the_next(every, lost):
     t = 0.02 / every * np.arange(100 * every)
     angles = np.column_stack([0.0 * t, np.arctan(0.1 * t), 0.0 * t])
