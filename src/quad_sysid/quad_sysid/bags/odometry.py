@@ -28,7 +28,8 @@ SLOWEST_BARO_S = 0.5
 """Longest usual interval of a barometer, s, from which the vertical speed is taken."""
 LONGEST_BARO_S = 2.0
 """Longest gap of a barometer, s, over which its height goes on straight: by 2 s the speed errs by
-0.04 m/s where it swings by 2 m/s every 20 s, by 5 s by 0.3 m/s."""
+0.04 m/s where it swings by 2 m/s every 20 s, by 5 s by 0.3 m/s. What is heard for less tells less:
+over 1 s the speed errs by up to 2 m/s."""
 SMOOTH_S = 0.2
 """Slopes of positions are compared with the twist as means over this: their noise is white."""
 CLOSER = 0.5
@@ -129,21 +130,20 @@ def _vertical(stream: Stamped | None, grid: Grid, angles: FloatArray,
     if pressure.size < LEAST or not np.ptp(pressure) > 0.0 \
             or np.median(np.diff(stamps)) > 1e9 * SLOWEST_BARO_S:
         return Moving()
-    places = grid.position(stamps)
+    places, heights = grid.position(stamps), altitude_of(pressure)
     force = over_level(acceleration, angles)[:, 2]
     finite = np.flatnonzero(np.isfinite(force))
     if finite.size < LEAST:
         return Moving()
     velocity, height = np.full((grid.n, 3), np.nan), np.full(grid.n, np.nan)
     gaps = np.flatnonzero(np.diff(places) * grid.dt > LONGEST_BARO_S) + 1
-    for own, air in zip(np.split(places, gaps), np.split(pressure, gaps), strict=True):
+    for own, risen in zip(np.split(places, gaps), np.split(heights, gaps), strict=True):
         first, last = (int(np.clip(k, 0, grid.n - 1)) for k in (np.ceil(own[0]), own[-1]))
         cells = np.arange(first, last + 1)
-        if own.size < LEAST or cells.size < LEAST:
+        if own.size < LEAST or cells.size * grid.dt < LONGEST_BARO_S:
             continue
         velocity[cells, 2], height[cells] = vertical_motion(
-            np.interp(cells, own, altitude_of(air)), np.interp(cells, finite, force[finite]),
-            grid.dt)
+            np.interp(cells, own, risen), np.interp(cells, finite, force[finite]), grid.dt)
     if not np.isfinite(height).any():
         return Moving()
     velocity[~np.isfinite(force), 2] = np.nan
