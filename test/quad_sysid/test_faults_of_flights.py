@@ -8,6 +8,7 @@ from flown_axis import DT, GAINS, SHORT, UNSEEN, Axis, fly
 
 from quad_sysid.discover.accept import Unseen
 from quad_sysid.discover.base import best_base
+from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import Problem, stays_bounded
 from quad_sysid.estimate.stored import completed, estimate_of, readings
 from quad_sysid.identified import Identified
@@ -122,6 +123,14 @@ def with_gaps(flight: Record, gap_s: float, every_s: float, seed: int) -> Record
     for start in np.cumsum(apart).astype(int):
         rates[start : start + length] = np.nan
     return replace(flight, rates=rates)
+
+
+@pytest.mark.usefixtures('quick')
+def test_a_log_with_gaps_says_what_is_missing(rubbed_flight):
+    few = tuple(effect for effect in EFFECTS if effect.name == 'coulomb_friction')
+    flight = with_gaps(rubbed_flight, 0.08, 0.4, 1001)
+    model = identify([flight], Options(axes=('roll',), effects=few))['roll'].model
+    assert [effect.name for effect in model.effects] == ['coulomb_friction']
 
 
 def test_a_log_with_gaps_keeps_its_windows_and_blocks_and_its_errors_are_as_large_as_said():

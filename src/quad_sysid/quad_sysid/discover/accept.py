@@ -233,7 +233,7 @@ class Unseen:
 
     def holding(self, windows: Windows) -> FloatArray:
         """(windows, length) errors of holding the last rate, rad/s."""
-        rate = self.problem.data.rate
+        rate = self.problem.flight.gyro
         return rate[windows.starts - 1][:, None] - rate[windows.cells]
 
 

@@ -293,7 +293,7 @@ class _Search:
                                    prediction=fit.prediction).errors
                 for fit in (self.base.fit, simpler, more)
             )
-        rate = problem.data.rate[windows.cells]
+        rate = problem.flight.gyro[windows.cells]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
         change, missed = (float(np.mean((full - run) ** 2)) for run in (less, least))
         return change < max(NEGLIGIBLE * missed, little(motion, float(np.mean(full**2))))

@@ -237,7 +237,7 @@ class Projection:
     @cached_property
     def _rates(self) -> FloatArray:
         """(windows, length) the reference's runs, rad/s."""
-        return np.asarray(self.problem.data.rate[self.windows.cells] + self.goal)
+        return np.asarray(self.problem.flight.gyro[self.windows.cells] + self.goal)
 
     @cached_property
     def thirds(self) -> list[NDArray[np.int64]]:
