@@ -274,9 +274,10 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb, equal = _Climb(models, search, parts, lowest.total), np.ones_like(lowest.missed)
-    while (rungs[-1].explains_pct < ENOUGH and not ladder.slight(rungs[-1].missed[None], equal)[0]
-           and len(rungs) <= MOST_RUNGS):
+    while rungs[-1].explains_pct < ENOUGH and len(rungs) <= MOST_RUNGS:
         last = rungs[-1]
+        if last.explains_pct >= EXPLAINS and ladder.slight(last.missed[None], equal)[0]:
+            break
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
