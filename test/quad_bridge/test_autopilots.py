@@ -319,6 +319,10 @@ def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other
         if trial:
             line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
             line.fly(3.0)
+            del line.updates.protocol.values[other]  # as if it had not answered before
+            line.hear(line.controller.pack(line.controller.value(other)))
+            line.fly(1.0)
+            assert values[p] == pytest.approx(1.4 * before[trial])
         values[other] *= 2.0
         line.hear(line.controller.pack(line.controller.value(other)))
         line.fly(2.0)

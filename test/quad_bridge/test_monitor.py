@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -142,7 +143,7 @@ def test_the_node_says_when_enough_is_in(probe, start):
     topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
     probe.meet(*topics)
     x, y = answered(60.0, 0.05, 5)
-    cycles = itertools.count()
+    cycles, pauses_s = itertools.count(), itertools.cycle((0.0, 0.3, 0.6))
 
     def flown_s():
         return re.findall(r'(\d+) s trained, (\d+) s', monitor.printed)
@@ -150,10 +151,12 @@ def test_the_node_says_when_enough_is_in(probe, start):
     def fly_until(pattern, role):
         """900 cycles at once, which the middleware holds, until the time flown stands still.
 
-        Stamps, not the clock, say how long it takes.
+        Stamps, not the clock, say how long it takes. A screen comes each second: one that is drawn
+        always as long after the last message may always find the sensors silent.
         """
         probe.publish(topics[2], event({'segment': role, 'axis': 'pitch', 'signal': 'prbs'}))
         while not re.search(pattern, monitor.printed):
+            time.sleep(next(pauses_s))
             part, told = [*itertools.islice(cycles, 900)], len(flown_s())
             headers = [{'header': stamp(10**9 + 4_000_000 * k)} for k in part]
             probe.publish(topics[0], *(
@@ -175,11 +178,11 @@ def test_the_node_says_when_enough_is_in(probe, start):
 def test_a_terminal_shows_the_screen():
     terminal, its_end = os.openpty()
     with subprocess.Popen(node_command('monitor', '/left'), stdout=its_end, stderr=its_end) as one:
+        os.close(its_end)  # where the monitor ends by itself, the next read fails
         shown = b''
         while b'validated' not in shown and b'ERROR' not in shown:
             shown += os.read(terminal, 4096)
         one.send_signal(signal.SIGINT)
         assert one.wait(GRACE_S) == 0
     os.close(terminal)
-    os.close(its_end)
     assert b'\x1b[H\x1b[Jlink        -      nothing received' in shown

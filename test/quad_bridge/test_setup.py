@@ -1,6 +1,8 @@
 """Set-up: what the wizard measures is what was built, through the firmware in C and back."""
 
 import math
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -314,3 +316,21 @@ def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, pr
         assert 'it is armed' in refused(wizard.main, *own)
         assert load(file) == entry
     assert there.controller.store.of([WIRE_NAMES['battery.divider']], 'good') == (9.5,)
+
+
+def test_a_terminal_that_goes_away_ends_it_with_all_that_was_written_saved(
+    tmp_path, monkeypatch, request
+):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
+    answers = iter(['1100', '2000', 'y'])
+    monkeypatch.setattr('builtins.input', lambda _: next(answers, None) or (
+        os.kill(os.getpid(), signal.SIGHUP) or 'n'))
+    controller = FlightController()
+    controller.flags = 0
+    with Port(controller, Pty(tmp_path / 'tty')), pytest.raises(SystemExit) as ended:
+        wizard.main(['--port', str(tmp_path / 'tty'), '--folder', str(tmp_path), 'motors',
+                     'battery'])
+    assert ended.value.code == 130
+    (file,) = tmp_path.glob('*/setup.yaml')
+    assert load(file)['motors.pulse_min_us'] == 1100.0

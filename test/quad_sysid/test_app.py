@@ -458,10 +458,12 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
                '%.5g', ',', header='@timestamp,tau_x,tau_y,tau_z,wobble,gy,gz', comments='')
     browser.send('Page.navigate', url=server.address)
     browser.until("document.querySelectorAll('#files input').length === 1")
+    browser.run("document.getElementById('train').value = '1:2'")
     root = browser.send('DOM.getDocument')['root']['nodeId']
     node = browser.send('DOM.querySelector', nodeId=root, selector='#file')['nodeId']
     browser.send('DOM.setFileInputFiles', nodeId=node, files=[str(log)])
     browser.until("document.querySelectorAll('#files input').length === 2")
+    assert browser.run("document.getElementById('train').value") == ''
     browser.choose('my_flight')
     browser.run("""document.querySelector('input[value=train]').click();
         document.getElementById('look').click();""")

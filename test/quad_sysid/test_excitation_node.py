@@ -48,7 +48,8 @@ class Aircraft:
         self.events = probe.listen('/excitation/segment')
         self.heard = probe.listen(SETPOINT)
         self.told = probe.listen('/diagnostics')
-        for topic in ('/imu/data', '/rc/in', '/battery', '/diagnostics', '/excitation/applied'):
+        for topic in ('/imu/data', '/rc/in', '/battery', '/diagnostics', '/excitation/applied',
+                      '/excitation/segment'):
             probe.advertise(topic)
 
     @property
@@ -198,7 +199,7 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
     aircraft.flags('armed')
     begin()
     other = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'attitude'}
-    aircraft.probe.publish('/excitation/segment', event(other, aircraft.now_ns))
+    aircraft.probe.deliver('/excitation/segment', event(other, aircraft.now_ns))
     ended('another node publishes /excitation/segment too')
     begin()
     aircraft.aux[2] = 1.0

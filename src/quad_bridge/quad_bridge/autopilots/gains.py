@@ -220,7 +220,7 @@ class ParameterGains:
         elif name in self._queue and self.state in {State.WRITING, State.REVERTING}:
             self._answered(name, value)
         elif value != previous:
-            self._changed(name, value)
+            self._changed(name, value, is_first=previous is None)
 
     # Reading.
 
@@ -325,11 +325,17 @@ class ParameterGains:
         self._due_s, self._looked = now_s + LOOK_S, self._looked + 1
         return f.ParamRequestRead([*self._whole][self._looked % len(self._whole)])
 
-    def _changed(self, name: str, value: float) -> None:
-        """Somebody else has written it: a gain, its multiplier, a limit or a filter."""
+    def _changed(self, name: str, value: float, *, is_first: bool) -> None:
+        """Somebody else has written it: a gain, its multiplier, a limit or a filter.
+
+        `is_first`: it had not answered before, so nobody need have written it.
+        """
         if name not in self._table.names:
             return
-        if self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
+        if is_first:
+            if self.state is State.READY:
+                self._prove(State.READY, What.READ)
+        elif self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
             self._foreign += 1
             self._take_back(What.REVERTED,
                             f'{name} was set to {value:g} by another program during the trial')

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -323,6 +324,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in args.only:
         if name not in steps:
             parser.error(f'no step {name!r}: known are {", ".join(steps)}')
+    # as by Ctrl-C where the terminal or its ssh is gone: what was written is saved
+    signal.signal(signal.SIGHUP, signal.default_int_handler)
     return ended_in_one_line('setup', lambda: _set_up(args))
 
 

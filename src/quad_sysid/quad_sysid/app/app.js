@@ -25,7 +25,7 @@ async function listFiles() {
     const box = document.createElement('input'); box.type = 'checkbox'; box.checked = chosen.has(file.path);
     box.onchange = () => {
       if (box.checked) chosen.add(file.path); else chosen.delete(file.path);
-      $('train').value = $('validate').value = ''; tell(); // they were those of other flights
+      clearWindows();
     };
     label.append(box, ' ' + file.path + ' '); const more = document.createElement('span');
     more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
@@ -35,7 +35,7 @@ async function listFiles() {
   if (note) list.append(Object.assign(document.createElement('li'), {textContent: note}));
 }
 const upload = guarded(async picked => {
-  const done = [], most = +$('drop').dataset.most; chosen.clear();
+  const done = [], most = +$('drop').dataset.most; chosen.clear(); clearWindows();
   for (const file of picked) {
     say('reading in ' + file.name);
     try {
@@ -147,6 +147,7 @@ function tell() {
   }
   $('frame').contentWindow.postMessage({zoom: true, mode, marks}, '*');
 }
+function clearWindows() { $('train').value = $('validate').value = ''; tell(); } // they were those of other flights
 addEventListener('message', e => {
   if (e.source !== $('frame').contentWindow || !e.data) return;
   if (e.data.zoomReady !== undefined) { $('frame').dataset.traces = e.data.zoomReady; tell(); }
