@@ -57,14 +57,6 @@ def turned(vectors: FloatArray, angle: FloatArray) -> FloatArray:
     return np.column_stack([c * x - s * y, s * x + c * y, *up])
 
 
-def steady_heading(forward_left: FloatArray, yaw: FloatArray, mean: float) -> FloatArray:
-    """(n, 2) what is along a heading that turns, along a mean heading, rad.
-
-    There no turn of the aircraft accelerates it.
-    """
-    return turned(forward_left, yaw - mean)
-
-
 def between(values: FloatArray) -> FloatArray:
     """(n, …) the mean of each sample and the next; the last as it is."""
     return np.asarray(0.5 * (values + np.concatenate([values[1:], values[-1:]])))

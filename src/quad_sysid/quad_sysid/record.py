@@ -18,7 +18,7 @@ from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.motion import Motion, between, lean, steady_heading, upright
+from quad_sysid.motion import Motion, between, lean, turned, upright
 from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
@@ -242,11 +242,12 @@ class Record:
                                       'orientation of /imu/data')
         yaw = angles[:, 2]
         mean = float(np.angle(np.nanmean(np.exp(1j * yaw))))
-        # the lean is that of a whole cycle, the speed that of its start
-        leaning = steady_heading(lean(between(angles)) if self.lean is None else self.lean,
-                                 between(yaw), mean)
+        # along a fixed heading no turn of the aircraft accelerates it; the lean is that of a whole
+        # cycle, the speed that of its start
+        leaning = turned(lean(between(angles)) if self.lean is None else self.lean,
+                         between(yaw) - mean)
         driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
-        speed = steady_heading(self.velocity[:, :2], yaw, mean)
+        speed = turned(self.velocity[:, :2], yaw - mean)
         return Motion(speed[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))
 
     def external(self, name: str) -> FloatArray | None:

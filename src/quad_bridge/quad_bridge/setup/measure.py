@@ -159,14 +159,14 @@ def _of_length_g(
     two scales where it is turned by 45 degrees. By Gauss and Newton, from the values given.
     """
     for _ in range(20):
-        felt = (force - offset) * scale
-        rotation = _nearest(place.T @ felt)
-        length = np.linalg.norm(felt, axis=1, keepdims=True)
-        of_length = np.hstack([-felt * scale, felt * (force - offset)]) / length
+        corrected = (force - offset) * scale
+        rotation = _nearest(place.T @ corrected)
+        length = np.linalg.norm(corrected, axis=1, keepdims=True)
+        of_length = np.hstack([-corrected * scale, corrected * (force - offset)]) / length
         of_direction = np.vstack([np.hstack([np.diag(-scale), np.diag(one)])
                                   for one in force - offset])  # fmt: skip
         missed = np.concatenate([length[:, 0] - GRAVITY_M_S2,
-                                 HELD * (felt - place @ rotation).ravel()])  # fmt: skip
+                                 HELD * (corrected - place @ rotation).ravel()])  # fmt: skip
         slopes = np.vstack([of_length, HELD * of_direction])
         step, *_ = np.linalg.lstsq(slopes, -missed, rcond=None)
         offset, scale = offset + step[:3], scale + step[3:]
