@@ -24,6 +24,7 @@ from quad_sysid.files import check_place, escaped, make_folder
 from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, OF_AXIS, Row, jobs
 from quad_sysid.fleets.place import Place
 
+PAGE, LOG = 'fleet.html', 'fleet.log'
 CSV, PARQUET = 'fleet.csv', 'fleet.parquet'
 UNNAMED = '-'
 """Folder of the flights of no aircraft; a partition without a value is one that pandas refuses."""
@@ -75,9 +76,6 @@ def _parquet(rows: Sequence[Row], pa: Any) -> bytes:
     sink = pa.BufferOutputStream()
     parquet.write_table(pa.table(content, schema=schema), sink)
     return bytes(sink.getvalue().to_pybytes())
-
-
-PAGE, LOG = 'fleet.html', 'fleet.log'
 
 
 def add(commands: Commands) -> None:
