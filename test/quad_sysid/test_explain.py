@@ -219,7 +219,7 @@ def test_a_cause_is_confirmed_by_its_own_rung_where_a_finer_effect_contains_it(r
     both = replace(ladder.rungs[1], explains_pct=90.0,
                    model=replace(model, structure=model.structure.plus(other)))
     joined = replace(ladder, rungs=(ladder.rungs[0], both))
-    assert [joined.explains(label) for label in both.labels] == [45.0, 45.0]
+    assert joined.answer == 0
     base = ladder.rungs[0]
     in_turn = replace(ladder, rungs=(  # of slow motion the first explains little
         base, replace(ladder.rungs[1], missed=0.4 * base.missed, explains_pct=10.0),

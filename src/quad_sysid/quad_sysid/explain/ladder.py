@@ -2,8 +2,8 @@
 
 Rung 0 is the base, fitted to what the reference does (projection.py); its miss is 100 %. Each
 further rung adds the effect that takes away most of what is left, a named law before a curve that
-takes hardly more. The lowest rung that explains EXPLAINS is the answer. Everything here uses the
-training segments only.
+takes hardly more. The lowest rung that explains EXPLAINS is the answer, if each up to it adds one
+effect. Everything here uses the training segments only.
 """
 
 from __future__ import annotations
@@ -161,6 +161,11 @@ class Ladder:
         return {rung.labels[-1]: i for i, rung in enumerate(self.rungs)
                 if i and set(rung.labels[:-1]) == set(self.rungs[i - 1].labels)}
 
+    @cached_property
+    def _new(self) -> list[set[str]]:
+        """Labels that each rung above the base has and the one below it has not."""
+        return [{*rung.labels} - {*below.labels} for below, rung in pairwise(self.rungs)]
+
     def rank(self, label: str) -> int:
         """Place of an effect among those of all rungs, the main cause's 0; any other is last."""
         labels = tuple(dict.fromkeys(label for rung in self.rungs for label in rung.labels))
@@ -169,15 +174,13 @@ class Ladder:
     def explains(self, label: str) -> float:
         """Percent that an effect of the answer explains, of what the answer does.
 
-        In proportion to the squares that its rung takes away; effects share a rung's.
+        In proportion to the squares that its rung takes away.
         """
         rungs = self.rungs[: self.answer + 1]
         whole = rungs[0].total - rungs[-1].total
-        for below, rung in pairwise(rungs):
-            new = set(rung.labels) - set(below.labels)
+        for new, (below, rung) in zip(self._new, pairwise(rungs), strict=False):
             if label in new:
-                share = (below.total - rung.total) / (len(new) * whole)
-                return rungs[-1].explains_pct * share
+                return rungs[-1].explains_pct * (below.total - rung.total) / whole
         return 0.0
 
     @property
@@ -233,13 +236,21 @@ class Ladder:
         return int(enough[0]) if enough.size else None
 
     @cached_property
+    def last(self) -> int:
+        """The last rung of those that add one effect each; only the whole reference adds several.
+
+        Those explain something together only, so that none of them by itself is a cause.
+        """
+        return sum(len(new) <= 1 for new in self._new)
+
+    @cached_property
     def answer(self) -> int:
         """The sufficient rung, or the last."""
-        if len(self.rungs) == 1:
+        if not self.last:
             return 0
-        missed = np.array([rung.missed for rung in self.rungs])
+        missed = np.array([rung.missed for rung in self.rungs[: self.last + 1]])
         enough = self.sufficient(missed, np.ones(missed.shape[1]))
-        return len(self.rungs) - 1 if enough is None else enough
+        return self.last if enough is None else enough
 
 
 def explain(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
@@ -473,7 +484,7 @@ def resampled(
     leading = np.argmax(prior + weights @ logs.T, axis=1)
     rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
     of_window = block[np.clip(rows, 0, block.size - 1)]
-    rungs = ladder.rungs
+    rungs = ladder.rungs[: ladder.last + 1]
     names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
     added = [{part.effect.name for part in rung.model.structure.parts
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
@@ -486,6 +497,8 @@ def resampled(
                           else _missed(problem, reference, rungs))
         for draw in np.flatnonzero(leading == index):
             enough = ladder.sufficient(missed, weights[draw, of_window])
+            if enough is None and reference is search.best:  # as for the flight as it was
+                enough = ladder.last
             if enough:
                 total = missed[: enough + 1] @ weights[draw, of_window]
                 causes = -np.diff(total) >= NEGLIGIBLE * total[0]

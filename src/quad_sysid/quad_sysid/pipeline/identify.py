@@ -285,7 +285,7 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
         reason = f'{not_searched}: this is the base alone' + (reason and f'; {reason}')
     else:
         reason = reason or ('no effect is confirmed by the held-out segments' if ladder.answer
-                            else 'no effect explains the training better than the base alone')
+                            else 'no effect alone explains the training better than the base')
     labels = verdict.chosen.structure.labels
     claimed = ladder.rungs[ladder.answer].model.structure.parts
     withdrawn = [part.effect.name for part in claimed if part.effect.label not in labels]
