@@ -20,6 +20,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.hidden import Linear, Load, Memory
 from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.exports import to_control
+from quad_sysid.identified import Identified
 from quad_sysid.loop.cascade import CascadeGains, closed_loop_radius
 from quad_sysid.loop.from_model import loop_plant, not_in_the_loop, share_outside, why_outside
 from quad_sysid.loop.linear import STILL, Level, loops_of
@@ -159,7 +160,7 @@ def test_cycle_by_cycle_compiled_along_arrays_and_in_a_free_run_an_effect_does_t
 
 
 class Branches(Effect):
-    """Laws of a user that compiled code has no words for: they branch, or take an arc tangent."""
+    """Laws of a user that compiled code has no words for: a branch, `clip`, an arc tangent."""
 
     name, states, signals = 'branches', 2, ('rate', 'angle', 'history')
     parameters = (Spec('torque', 'rad/s²'),)
@@ -169,7 +170,8 @@ class Branches(Effect):
         return -p[0] * (pull + np.arctan(3.0 * s.rate))
 
     def advance(self, x, s, *_):
-        return x + s.dt * np.stack([np.arctan(s.angle) - x[0], np.arctan(s.rate - x[1])])
+        late = x.clip(-9.0, 9.0)
+        return x + s.dt * np.stack([np.arctan(s.angle) - late[0], np.arctan(s.rate - late[1])])
 
 
 class Bends(Effect):
@@ -179,7 +181,7 @@ class Bends(Effect):
     parameters = (Spec('width', '1', spread=0.1),)
 
     def command(self, s, p, _):
-        return p[0] * np.arctan(s.sent / p[0])
+        return p[0] * np.arctan(s.sent.clip(-9.0, 9.0) / p[0])
 
     def actuate(self, drive, s, *_):
         slow = 2.0 if s.sent[0] < 0.0 else 1.0
@@ -375,3 +377,15 @@ def test_python_control_flies_a_found_model():
                for one in (whole, near, small)]
     for other in answers[1:]:
         np.testing.assert_allclose(answers[0], other, atol=0.01 * np.abs(answers[0]).max())
+
+
+@pytest.mark.parametrize('effect', [
+    estimate_of('motor_lag', [0.12], 'motor 1'),
+    estimate_of('periodic_disturbance', [2.0, 3.0, 4.0]),
+])
+def test_python_control_begins_at_rest_and_its_time_goes_on(effect):
+    model = Identified(**vars(model_of(effect)))
+    t = DT * np.arange(250)
+    u = 0.05 * np.sign(np.sin(9.0 * t))
+    flown = control_system.input_output_response(model.to_control(), t, u).outputs[0]
+    np.testing.assert_allclose(flown, model.simulate(u), atol=0.02)

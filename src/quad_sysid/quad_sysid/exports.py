@@ -117,8 +117,9 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     """A model as a system of python-control, a control cycle a step: command to rate and angle.
 
     An `nlsys` with all effects, at the flight's mean throttle and voltage, the other axes at rest;
-    `linear`: an `ss` of the plant as its margins are judged, at rest. `linearize`, `interconnect`
-    and `input_output_response` take both.
+    its states count from motors that hold the throttle, so that 0 is rest. `linear`: an `ss` of
+    the plant as its margins are judged, at rest. `linearize`, `interconnect` and
+    `input_output_response` take both.
     """
     import control
 
@@ -132,16 +133,18 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
         return control.ss(loop.a[0], loop.b[0][:, None], loop.c[0], 0.0, model.dt, **names)
     flying = whole_plant(model)
     plant, start = flying.plant, flying.begin()
+    rest = flat(start)
 
-    def update(_: float, x: FloatArray, u: FloatArray, __: object) -> FloatArray:
-        s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
-        return flat(plant.step(unflat(x[:, None], start), s))[:, 0]
+    def update(t: float, x: FloatArray, u: FloatArray, _: object) -> FloatArray:
+        now = replace(flying.around, time=flying.around.time + t, sent=np.atleast_1d(u))
+        later = plant.step(unflat(x[:, None] + rest, start), plant.with_motors(now))
+        return (flat(later) - rest)[:, 0]
 
     def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
-        rate, angle = plant.measured(unflat(x[:, None], start))
+        rate, angle = plant.measured(unflat(x[:, None] + rest, start))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(update, shown, states=flat(start).shape[0], dt=model.dt, **names)
+    return control.nlsys(update, shown, states=rest.shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {
