@@ -566,6 +566,8 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
 
     line = flying(name, gains=False, excitation=False)
     refuses('are off: read docs/')
+    with pytest.raises(RefusedError, match='gains are off'):  # nor does a rollback write any
+        line.updates.ask({'roll.rate.kp': 0.05, 'rollback': True}, 1e-9 * line.now_ns)
     line.allow = (True, True)
     line.connect(Link())
     line.fly(4.5)
