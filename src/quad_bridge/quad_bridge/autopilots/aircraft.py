@@ -131,6 +131,11 @@ class AutopilotAircraft(Aircraft):
         else:
             self.takeover.begin(self._axis, injection, now_s)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether it has its pilot's mode and its own parameters of SYSTEM ID back."""
+        return all(way.phase is type(way.phase).IDLE for way in self._ways)
+
     def _end(self, reason: str) -> None:
         for way in self._ways:
             way.end(reason, self._now_s())
