@@ -218,6 +218,7 @@ class SerialBridge(ManagedNode):
         with self._lock:
             self._gains.disturb('the node was deactivated')
             self._gains.end('the node was deactivated')
+            self._logs.end()
             self._poll_gains(clock().now_ns())
             self._flush()
         until_s = time.monotonic() + BACK_S
