@@ -201,19 +201,27 @@ class Autopilot:
             parts.append((PRESSURE, replace(frame, mag_gauss=None)))
         return parts
 
-    def sticks(self, frame: RcChannels, now_ns: int) -> RcChannels | None:
+    def sticks(
+        self, frame: RcChannels, now_ns: int, channels: tuple[int, ...] = ()
+    ) -> RcChannels | None:
         """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
 
+        `channels` of these four, from 1, as the receiver sends them, where the autopilot says it.
         Betaflight sends them in its own order, yaw before throttle.
         """
         self.note(frame.name)
         has_channels = frame.port == 0 and bool(frame.channels)
         if not has_channels or not self.feeds(STICKS, frame.name, now_ns):
             return None
-        if self.betaflight and len(frame.channels) > 3:
-            roll, pitch, yaw, throttle, *others = frame.channels
-            return replace(frame, channels=(roll, pitch, throttle, yaw, *others))
-        return frame
+        if self.betaflight:
+            channels = (1, 2, 4, 3)
+        count = len(frame.channels)
+        if frame.name == 'MANUAL_CONTROL' or not {*range(1, count + 1)} >= {*channels} or (
+            len({*channels}) < 4
+        ):
+            return frame
+        order = dict.fromkeys((*channels, *range(1, count + 1)))
+        return replace(frame, channels=tuple(frame.channels[k - 1] for k in order))
 
     def battery(self, frame: Battery, now_ns: int) -> bool:
         """Whether this one counts: of several batteries the one with the lowest number."""
