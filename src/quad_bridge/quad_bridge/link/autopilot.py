@@ -202,7 +202,7 @@ class Autopilot:
         return parts
 
     def sticks(
-        self, frame: RcChannels, now_ns: int, channels: tuple[int, ...] = ()
+        self, frame: RcChannels, now_ns: int, channels: tuple[float, ...] = ()
     ) -> RcChannels | None:
         """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
 
@@ -215,13 +215,12 @@ class Autopilot:
             return None
         if self.betaflight:
             channels = (1, 2, 4, 3)
-        count = len(frame.channels)
-        if frame.name == 'MANUAL_CONTROL' or not {*range(1, count + 1)} >= {*channels} or (
-            len({*channels}) < 4
-        ):
+        numbers = range(1, len(frame.channels) + 1)
+        known = len({*channels}) == len(channels) and {*channels} <= {*numbers}
+        if frame.name == 'MANUAL_CONTROL' or not known:
             return frame
-        order = dict.fromkeys((*channels, *range(1, count + 1)))
-        return replace(frame, channels=tuple(frame.channels[k - 1] for k in order))
+        order = dict.fromkeys((*channels, *numbers))
+        return replace(frame, channels=tuple(frame.channels[int(k) - 1] for k in order))
 
     def battery(self, frame: Battery, now_ns: int) -> bool:
         """Whether this one counts: of several batteries the one with the lowest number."""

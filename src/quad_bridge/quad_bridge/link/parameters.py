@@ -58,10 +58,10 @@ class Parameters:
         self._requested: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
 
     @property
-    def channels(self) -> tuple[int, ...]:
+    def channels(self) -> tuple[float, ...]:
         """The receiver's channels of roll, pitch, throttle, yaw, from 1; 0 where not known."""
         name = _MAPS.get(self._autopilot, '')
-        return tuple(int(self.values.get(name + stick, 0)) for stick in _STICKS)
+        return tuple(self.values.get(name + stick, 0.0) for stick in _STICKS)
 
     @property
     def complete(self) -> bool:
