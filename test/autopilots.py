@@ -74,7 +74,8 @@ PX4 = Kind(
         'CA_ROTOR_COUNT': 4, **{f'CA_ROTOR{k}_PX': x for k, (x, _) in enumerate(PX4_PLACES)},
         **{f'CA_ROTOR{k}_PY': y for k, (_, y) in enumerate(PX4_PLACES)},
         **{f'CA_ROTOR{k}_KM': 0.05 if k < 2 else -0.05 for k in range(4)},
-        **{f'PWM_MAIN_FUNC{k + 1}': 101 + k for k in range(4)}},
+        **{f'PWM_MAIN_FUNC{k + 1}': 101 + k for k in range(4)},
+        **dict.fromkeys(('RC_MAP_ROLL', 'RC_MAP_PITCH', 'RC_MAP_THROTTLE', 'RC_MAP_YAW'), 0)},
     bytewise=True,
     hpa=100.0,
 )
@@ -84,6 +85,7 @@ ARDUPILOT = Kind(
              'RC_CHANNELS_RAW': 4.0, 'SERVO_OUTPUT_RAW': 4.0, 'SYS_STATUS': 4.0},
     most_hz=ALL | {'ESC_TELEMETRY_1_TO_4': 250.0},
     parameters={'FRAME_CLASS': 1, 'FRAME_TYPE': 0, 'MOT_PWM_MIN': 1000, 'MOT_PWM_MAX': 2000,
+                'RCMAP_ROLL': 1, 'RCMAP_PITCH': 2, 'RCMAP_THROTTLE': 3, 'RCMAP_YAW': 4,
                 **{f'SERVO{k}_FUNCTION': 32 + k if k < 5 else 0 for k in range(1, 17)}},
     gauss=1e6,
 )  # fmt: skip

@@ -182,6 +182,20 @@ def test_a_disk_that_fills_between_two_steps_ends_the_trial(flying, name):
     assert 'the next step was not written' in ' '.join(line.notes)
 
 
+@both
+def test_a_bridge_that_ends_takes_back_what_nobody_would_watch(flying, name):
+    line, p = flying(name), P[name]
+    before = line.controller.parameters[p]
+    line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+    line.fly(1.0)
+    assert line.controller.parameters[p] > 1.3 * before
+    line.updates.end('the node was deactivated')
+    line.fly(1.0)
+    assert line.controller.parameters[p] == before
+    assert line.updates.state is State.IDLE
+    assert 'trial' not in line.kept()
+
+
 @pytest.mark.parametrize('landed', [2, 4])
 def test_the_first_gains_after_the_connection_are_watched_also_while_it_lands(flying, landed):
     line, p = flying('px4'), P['px4']
@@ -373,12 +387,14 @@ def test_ardupilots_system_id_is_set_up_followed_and_put_back(flying):
     line.excite(6.0, 0.06)  # the excitation node plays the chirp too, though it is not sent
     assert line.controller.mode == flown.SYSTEM_ID
     assert line.controller.parameters['SID_AXIS'] == 11
+    assert not line.aircraft.at_rest
     assert line.controller.parameters['SID_MAGNITUDE'] == pytest.approx(0.06)
     assert any(c.flags & f.Flag.EXCITATION for c in line.cycles[-10:])
     line.excite(6.5, 0.06)
     assert line.controller.mode == flown.STABILIZE  # by itself, within the segment
     line.relay.segment({'segment': 'idle', 'signal': 'none'})
     line.fly(2.0)
+    assert line.aircraft.at_rest
     assert line.controller.parameters == before
     assert max(abs(row[-1]) for row in line.controller.rows if math.isfinite(row[-1])) > 0.05
     assert line.aircraft.cannot(Ability.EXCITE) == ''
@@ -453,9 +469,11 @@ def test_guided_nogps_is_not_flown_where_no_climb_is_half_throttle(flying):
 def test_the_check_shows_what_becomes_of_an_aircraft_whose_bridge_dies(
         flying, kind, name, right, wrong):
     line = flying(kind)
-    for value, mark in ((right, '  ok'), (wrong, '  --')):
-        line.controller.parameters[name] = value
-        line.hear(line.controller.pack(line.controller.value(name)))
+    for value, mark in ((right, '  ok'), (wrong, '  --'), (None, '  --')):
+        line.aircraft.gains.values.pop(name)
+        if value is not None:
+            line.controller.parameters[name] = value
+            line.hear(line.controller.pack(line.controller.value(name)))
         screen = lines(report(line.aircraft, line.link, line.now_ns, ''))
         assert next(row for row in screen if name in row).startswith(mark)
 
@@ -566,6 +584,8 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
 
     line = flying(name, gains=False, excitation=False)
     refuses('are off: read docs/')
+    with pytest.raises(RefusedError, match='gains are off'):  # nor does a rollback write any
+        line.updates.ask({'roll.rate.kp': 0.05, 'rollback': True}, 1e-9 * line.now_ns)
     line.allow = (True, True)
     line.connect(Link())
     line.fly(4.5)

@@ -32,6 +32,8 @@ def test_what_bears_a_stamp_of_another_time_commands_nothing_and_is_counted(age_
     enable.take(age_s, 1.0)
     assert 'its stamp is' in enable.fault(1.0)
     enable.take(0.0, 1.0)
+    relay.segment({'segment': 'idle'}, age_s)  # the last word of a schedule, to a new bridge
+    assert relay.status(None, 1.0).message == 'idle'
     relay.segment(TRAIN)
     assert relay.setpoint(0.1, 0.0, 0.0, 1.0, age_s) is None
     assert relay.segment({**TRAIN, 'injection': 'control'}, age_s) is None

@@ -184,6 +184,11 @@ class Walk:
         self.goes_back(before)
         assert self.gains.state is not State.CHECKING
 
+    def ends(self):
+        before = self.gains.state
+        self.gains.end('the node was deactivated')
+        self.goes_back(before)
+
     def goes_back(self, before, within=(State.WRITING, State.WATCHING)):
         if before in within:
             assert self.gains.state is State.REVERTING
@@ -236,7 +241,7 @@ class Walk:
             'killed': lambda w: w.cycle(f.Flag.RC_KILL),
             'failsafe': lambda w: w.cycle(armed | f.Flag.RC_FAILSAFE),
             'excited': lambda w: w.tick(excited=True), 'disarmed': lambda w: w.cycle(f.Flag.NONE),
-            'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick,
+            'alarm': Walk.alarm, 'gesture': Walk.gesture, 'tick': Walk.tick, 'ends': Walk.ends,
             'nan': lambda w: w.ask(math.nan), 'back': lambda w: w.ask(HELD, rollback=True),
             'late': lambda w: w.ask(0.15, 0.6),
             'ahead': lambda w: w.ask(HELD, -0.2, rollback=True),

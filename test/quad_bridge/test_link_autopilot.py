@@ -1,6 +1,7 @@
 """What the bridge makes of other autopilots, as they were seen (test/autopilots.py)."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -53,14 +54,23 @@ def stamps_are_true(line, off_ms=1.0):
             assert abs(1e-6 * item.stamp_ns - true_ms) < off_ms + 1.0, item.topic
 
 
+def throttle_first(kind, prefix):
+    """An autopilot whose receiver sends throttle, roll, pitch, yaw."""
+    channels = {'ROLL': 2, 'PITCH': 3, 'THROTTLE': 1, 'YAW': 4}
+    maps = {prefix + stick: channel for stick, channel in channels.items()}
+    return replace(kind, sticks=(2, 0, 1, 3), parameters={**kind.parameters, **maps})
+
+
 def test_px4_is_raised_from_the_rates_at_which_its_streams_came():
-    line = flown(Autopilot(PX4))
+    line = flown(Autopilot(throttle_first(PX4, 'RC_MAP_')))
     asked = {name: rates[0] for name, rates in line.controller.asked.items()}
     assert {name: asked[name] for name in ('HIGHRES_IMU', 'ATTITUDE', 'RC_CHANNELS')} == {
         'HIGHRES_IMU': 250.0, 'ATTITUDE': 250.0, 'RC_CHANNELS': 50.0,
     }  # fmt: skip
     assert late_rate_hz(line, '/imu/data') == pytest.approx(250.0, abs=2)
     assert late_rate_hz(line, '/rc/in') == pytest.approx(50.0, abs=1)
+    sticks = [i.frame.channels[:4] for i in line.out if i.topic == '/rc/in']
+    assert sticks[-1] == (1500, 1600, 1200, 1450)
     assert line.link.name == 'PX4'
     assert line.link.autopilot.missing(line.now_ns) == OURS
     last = inertial(line)[-1]
@@ -119,7 +129,8 @@ ONE_EACH = {
 ])  # fmt: skip
 def test_each_topic_has_one_source_the_best_that_comes(without):
     only = tuple(name for name in ALL if name not in without)
-    line = flown(Autopilot(ARDUPILOT, only=only, unasked=dict.fromkeys(ALL, 50.0), gauss=1.0))
+    line = flown(Autopilot(throttle_first(ARDUPILOT, 'RCMAP_'), only=only, gauss=1.0,
+                           unasked=dict.fromkeys(ALL, 50.0)))  # fmt: skip
     best = {topic: next((name for name in names if name in only), None)
             for topic, names in ONE_EACH.items()}  # fmt: skip
     late = sources(line)

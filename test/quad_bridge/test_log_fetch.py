@@ -60,6 +60,8 @@ def test_whole_through_losses(tmp_path, says):
 def test_resumed_after_a_lost_line_and_not_fetched_again(tmp_path):
     _, half = fetched(Card(), tmp_path, until=lambda fetch: fetch.got > 60_000)
     assert half.phase is Phase.FETCHING
+    half.stop('the pilot wants to fly')  # ArduPilot arms once it is told, at once
+    assert [half.poll(1e3), half.poll(2e3)] == [[f.LogRequestEnd()], []]
     card = Card()
     store, _ = fetched(card, tmp_path)
     assert card.sent < 1 + (len(LOG) - 60_000) / CHUNK

@@ -147,8 +147,10 @@ def test_two_aircraft_keep_apart_and_one_logs_inside_its_bridge(tmp_path, probe,
 
 
 def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
-    node = bridge(managed=True)
+    node = bridge(managed=True, polarity='off')
     heard = probe.listen('/imu/data', reliable=False)  # by SensorDataQoS, as it chooses
+    wire = [WIRE_NAMES['roll.rate.kp']]
+    flown = far.controller.store.of(wire)
 
     def goes(transition):
         assert probe.transition('/serial_bridge', transition)
@@ -178,7 +180,10 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         goes(ACTIVATE)
         probe.until(lambda: len(heard) > 50)
         opens('hears', *NODES['serial_bridge'].hears)
+        probe.until(lambda: probe.answer(probe.set_gains({'roll.rate.kp': 0.1})).result.successful)
+        assert far.controller.store.of(wire) == pytest.approx((0.1,))
         silent_after(DEACTIVATE)
+        assert far.controller.store.of(wire) == flown  # nobody would watch the new ones
         opens('hears')
     goes(CLEANUP)
     opens('offers')

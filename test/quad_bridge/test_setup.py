@@ -4,6 +4,7 @@ import math
 import os
 import signal
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -318,19 +319,29 @@ def test_a_file_is_restored_through_the_port_and_a_bad_one_is_named(tmp_path, pr
     assert there.controller.store.of([WIRE_NAMES['battery.divider']], 'good') == (9.5,)
 
 
+@pytest.mark.parametrize(('number', 'before', 'status'), [
+    (signal.SIGHUP, signal.SIG_DFL, 130), (signal.SIGTERM, signal.SIG_DFL, 130),
+    (signal.SIGHUP, signal.SIG_IGN, 2),  # under nohup it goes on, to the end of its input
+])
 def test_a_terminal_that_goes_away_ends_it_with_all_that_was_written_saved(
-    tmp_path, monkeypatch, request
+    tmp_path, monkeypatch, request, number, before, status
 ):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
+    request.addfinalizer(partial(signal.signal, number, signal.signal(number, before)))
     answers = iter(['1100', '2000', 'y'])
-    monkeypatch.setattr('builtins.input', lambda _: next(answers, None) or (
-        os.kill(os.getpid(), signal.SIGHUP) or 'n'))
+
+    def asked(_words):
+        answer = next(answers, None)
+        if answer is None:
+            os.kill(os.getpid(), number)
+            raise EOFError
+        return answer
+
+    monkeypatch.setattr('builtins.input', asked)
     controller = FlightController()
     controller.flags = 0
     with Port(controller, Pty(tmp_path / 'tty')), pytest.raises(SystemExit) as ended:
         wizard.main(['--port', str(tmp_path / 'tty'), '--folder', str(tmp_path), 'motors',
                      'battery'])
-    assert ended.value.code == 130
+    assert ended.value.code == status
     (file,) = tmp_path.glob('*/setup.yaml')
     assert load(file)['motors.pulse_min_us'] == 1100.0

@@ -197,9 +197,11 @@ def test_what_keeps_it_from_starting_and_what_ends_it(aircraft, fly):
     aircraft.flags('armed excitation_refused')
     ended('the STM32 refuses the excitation')
     aircraft.flags('armed')
-    begin()
     other = {'segment': 'train', 'signal': 'prbs', 'axis': 'roll', 'injection': 'attitude'}
-    aircraft.probe.deliver('/excitation/segment', event(other, aircraft.now_ns))
+    begin(200)
+    late = event(other) | {'stamp': vars(aircraft.events[-1].stamp)}  # begun in the same cycle
+    aircraft.probe.deliver('/excitation/segment', event(other, START_NS))  # as from a bag
+    aircraft.probe.deliver('/excitation/segment', late)
     ended('another node publishes /excitation/segment too')
     begin()
     aircraft.aux[2] = 1.0

@@ -100,6 +100,11 @@ class Aircraft(ABC):
 
     gains: Gains
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether an excitation that was ended has left nothing to put back."""
+        return True
+
     @abstractmethod
     def cannot(self, ability: Ability) -> str:
         """Why it has not this ability; empty where it has."""

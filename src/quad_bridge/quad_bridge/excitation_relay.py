@@ -65,11 +65,12 @@ class ExcitationRelay:
         The STM32 refuses until it hears one, once it has refused. `age_s` by its stamp: one of
         earlier, as from a bag, changes nothing.
         """
+        running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         late = stale(age_s)
         if late:
-            self._drop(f'segment: {late}')
+            if running or self.injection is not Injection.NONE:  # else it changes nothing anyway
+                self._drop(f'segment: {late}')
             return None
-        running = parameters.get('segment') != 'idle' and parameters.get('signal') != 'none'
         wanted = INJECTIONS.get(str(parameters.get('injection', '')))
         if parameters.get('axis') == 'climb':  # the third of the values
             wanted = Injection.THRUST if wanted is Injection.CONTROL else None

@@ -24,10 +24,9 @@ from sensor_msgs.msg import BatteryState, Imu, Joy
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import QuadBridgeError
-from quad_bridge.fresh import stale
 from quad_bridge.lockstep import clock, patience
 from quad_bridge.nodes import ros_node
-from quad_bridge.nodes.conversion import age_s, event_message
+from quad_bridge.nodes.conversion import event_message
 from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.managed_node import answered
@@ -76,7 +75,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         self._setpoint = self.create_publisher(Vector3Stamped, 'excitation/setpoint', STREAM)
         self._segment = self.create_publisher(ParameterEvent, 'excitation/segment', STATE)
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
-        self._announced: deque[int] = deque(maxlen=5)  # stamps, ns
+        self._announced: list[int] = []  # stamps, ns, of those that have not come back
+        self._started_ns = 0
         self._message = Vector3Stamped()
         self._message.header.frame_id = 'base_link'
         self._imu: bytes = b''
@@ -141,9 +141,15 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
             ), '')
 
     def _on_segment(self, message: Any) -> None:
-        """End where another node excites: it was not discovered yet when the later one began."""
-        is_own = nanoseconds(message.stamp) in self._announced
-        if not (is_own or stale(age_s(message.stamp, self.get_clock().now().nanoseconds))):
+        """End where another node excites: it was not discovered yet when the later one began.
+
+        Once they hear each other the earlier one ends, however long that took; what was said
+        before the start, as in a bag, does not count.
+        """
+        stamp = nanoseconds(message.stamp)
+        if stamp in self._announced:
+            self._announced.remove(stamp)  # its own comes once: another's may have the same
+        elif stamp >= self._started_ns:
             self._fail(f'another node publishes {self._segment.topic_name} too: end it first')
 
     def _readings(self, *, decode_angles: bool) -> Readings:
@@ -175,7 +181,7 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         began_s = clock().now_s()  # the first decoding takes its time, and so may the first tick
         reason = self._player.start(self._now_s(), self._readings(decode_angles=True))
         if not reason:
-            self._began_s = began_s
+            self._began_s, self._started_ns = began_s, self.get_clock().now().nanoseconds
             self._stall.begin(began_s)
             self._timer.reset()
             self.get_logger().info('excitation runs')

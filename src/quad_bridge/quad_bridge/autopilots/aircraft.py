@@ -27,7 +27,7 @@ AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 SWAP_S = 10.0  # silent for so long, it may be another one that is heard then
 RATE_CHANGE = 1.1  # by which the rate of the attitudes must change to count as another
-OFF = 'off: read docs/{}, then start the bridge with {}:=allow'
+OFF = '{0} are off: read docs/{1}.md, then start the bridge with {0}:=allow'
 
 
 class AutopilotAircraft(Aircraft):
@@ -50,7 +50,9 @@ class AutopilotAircraft(Aircraft):
         self.version: f.Version | None = None
         self.is_another = False
         """Whether another aircraft has answered in its place."""
-        self._allow = {Ability.GAINS: allow_gains, Ability.EXCITE: allow_excitation}
+        if not allow_gains:
+            self.gains.refused = OFF.format('gains', kind.name.lower())
+        self._off = '' if allow_excitation else OFF.format('excitation', kind.name.lower())
         self.system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
         self._refusal = ''  # why the running segment is not flown
@@ -70,11 +72,8 @@ class AutopilotAircraft(Aircraft):
             return f'{name} takes no test pulses: that it flies shows its signs'
         if ability is Ability.MOTORS:
             return f'{name} has a motor test of its own, in its ground station'
-        if not self._allow[ability]:
-            key = 'gains' if ability is Ability.GAINS else 'excitation'
-            return f'{name}: {key} are ' + OFF.format(f'{name.lower()}.md', key)
         if ability is Ability.EXCITE:
-            words = self._not_flown
+            words = self._off or self._not_flown
         else:
             words = self.gains.refused or self._pilot_fault()
         return f'{name}: {words}' if words else ''
@@ -131,6 +130,11 @@ class AutopilotAircraft(Aircraft):
             chirp.begin(sid, now_s)
         else:
             self.takeover.begin(self._axis, injection, now_s)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it has its pilot's mode and its own parameters of SYSTEM ID back."""
+        return all(way.phase is type(way.phase).IDLE for way in self._ways)
 
     def _end(self, reason: str) -> None:
         for way in self._ways:

@@ -89,23 +89,30 @@ def _px4_units(craft: Craft, known: Values) -> Units:
     return px4_units(np.asarray(craft.mixer), x, y)
 
 
+def _seen(
+    known: Values, words: str, name: str, is_right: Callable[[float], bool], remedy: str,
+    unit: str = '',
+) -> Advice:  # fmt: skip
+    """What a parameter is; one that is not answered is not as it should be."""
+    if name not in known:
+        return (f'{words}{name} is not answered', False,
+                'listen for longer by --seconds, or look at it with a ground station')
+    return f'{words}{name} {known[name]:.9g}{unit}', is_right(known[name]), remedy
+
+
 def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
-    profile = int(known.get('SDLOG_PROFILE', 0))
-    override = int(known.get('COM_RC_OVERRIDE', 1))
-    then = int(known.get('COM_OBL_RC_ACT', 0))
     advice = [
-        (f'log SDLOG_PROFILE {profile}', profile & 24 == 24,
-         'set SDLOG_PROFILE to 25 (bits 3 system identification, 4 high rate) and restart'),
-        (f'airmode MC_AIRMODE {known.get("MC_AIRMODE", 0):g}', not known.get('MC_AIRMODE', 0.0),
-         'set MC_AIRMODE to 0 while tuning'),
-        (f'external set-points MAV_FWDEXTSP {known.get("MAV_FWDEXTSP", 1):g}',
-         known.get('MAV_FWDEXTSP', 1.0) != 0.0, 'set MAV_FWDEXTSP to 1'),
-        (f'sticks leave OFFBOARD: COM_RC_OVERRIDE {override}', bool(override & 2),
-         'set COM_RC_OVERRIDE to 3: else the bridge alone gives the mode back'),
-        (f'loss of OFFBOARD COM_OF_LOSS_T {known.get("COM_OF_LOSS_T", 1):g} s',
-         known.get('COM_OF_LOSS_T', 1.0) <= 1.0, 'set COM_OF_LOSS_T to 1 or less'),
-        (f'and then COM_OBL_RC_ACT {then}', then not in STOPS_THE_MOTORS,
-         'set COM_OBL_RC_ACT to 0, Position: this value stops the motors in flight'),
+        _seen(known, 'log ', 'SDLOG_PROFILE', lambda bits: int(bits) & 24 == 24,
+              'set SDLOG_PROFILE to 25 (bits 3 system identification, 4 high rate) and restart'),
+        _seen(known, 'airmode ', 'MC_AIRMODE', lambda mode: not mode,
+              'set MC_AIRMODE to 0 while tuning'),
+        _seen(known, 'external set-points ', 'MAV_FWDEXTSP', bool, 'set MAV_FWDEXTSP to 1'),
+        _seen(known, 'sticks leave OFFBOARD: ', 'COM_RC_OVERRIDE', lambda bits: int(bits) & 2 > 0,
+              'set COM_RC_OVERRIDE to 3: else the bridge alone gives the mode back'),
+        _seen(known, 'loss of OFFBOARD ', 'COM_OF_LOSS_T', lambda seconds: seconds <= 1,
+              'set COM_OF_LOSS_T to 1 or less', ' s'),
+        _seen(known, 'and then ', 'COM_OBL_RC_ACT', lambda then: then not in STOPS_THE_MOTORS,
+              'set COM_OBL_RC_ACT to 0, Position: this value stops the motors in flight'),
     ]
     if version >= (1, 15):
         advice.append(("parameters in the processor's flash are stored once disarmed", True, ''))
@@ -113,29 +120,25 @@ def _px4_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
 
 
 def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
-    bits = int(known.get('LOG_BITMASK', 0))
-    has_sid = 'SID_AXIS' in known
-    blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
-    learns = int(known.get('MOT_HOVER_LEARN', 0))
-    options, silent_s = known.get('GUID_OPTIONS'), known.get('GUID_TIMEOUT', 3.0)
-    advice = [
-        (f'log LOG_BITMASK {bits}', bits & 3 == 3,
-         f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
+    del version
+    bits, has_sid = int(known.get('LOG_BITMASK', 0)), 'SID_AXIS' in known
+    blocked = int(known.get('FLTMODE_GCSBLOCK', 0))  # which older ones have not, and block nothing
+    return [
+        _seen(known, 'log ', 'LOG_BITMASK', lambda bits: int(bits) & 3 == 3,
+              f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
         (f'motors in the log (bit 17) {"yes" if bits & 1 << 17 else "no"}', True, ''),
         (f'SYSTEM ID {"is there" if has_sid else "is not answered"}', has_sid,
          'boards of 1 MB flash lack it from 4.5 on, and GUIDED_NOGPS too'),
         (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
-        ('GUID_OPTIONS ' + ('is not answered' if options is None else f'{options:g}'),
-         options is not None and not int(options) & 1 << GUID_THROTTLE,
-         f'clear bit {GUID_THROTTLE}: with it no climb in GUIDED_NOGPS is half throttle'),
-        (f'a silent bridge is noticed after GUID_TIMEOUT {silent_s:g} s', silent_s <= 3.0,
-         'set GUID_TIMEOUT to 3 or less: the last attitude is held for so long'),
-        (f'MOT_HOVER_LEARN {learns}', not learns,
-         'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
+        _seen(known, '', 'GUID_OPTIONS', lambda bits: not int(bits) & 1 << GUID_THROTTLE,
+              f'clear bit {GUID_THROTTLE}: with it no climb in GUIDED_NOGPS is half throttle'),
+        _seen(known, 'a silent bridge is noticed after ', 'GUID_TIMEOUT',
+              lambda seconds: seconds <= 3,
+              'set GUID_TIMEOUT to 3 or less: the last attitude is held for so long', ' s'),
+        _seen(known, '', 'MOT_HOVER_LEARN', lambda learns: not learns,
+              'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),
     ]
-    del version
-    return advice
 
 
 KINDS = (

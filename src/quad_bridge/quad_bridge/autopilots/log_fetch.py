@@ -58,6 +58,7 @@ class LogFetch:
         self._waiting: dict[int, bytes] = {}  # offset to bytes beyond a hole
         self._from = self._until = 0  # what was asked for
         self._due_s, self._tries = -math.inf, 0
+        self._ends = False  # whether to say that no more is wanted
         self._end = -1  # where the log ends, by a part that is shorter than the others
 
     @property
@@ -80,8 +81,13 @@ class LogFetch:
         self.phase, self._due_s = Phase.WAITING, now_s + wait_s
 
     def stop(self, reason: str) -> None:
-        """Give it up; what is there stays for the next fetch."""
+        """Give it up; what is there stays for the next fetch.
+
+        The autopilot is told: ArduPilot does not arm before it has sent what was asked for, and
+        sends nothing where no heartbeat comes.
+        """
         if self.busy:
+            self._ends = self.phase is Phase.FETCHING
             self.phase, self.reason = Phase.FAILED, reason
 
     def again(self, now_s: float) -> None:
@@ -100,6 +106,9 @@ class LogFetch:
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now."""
+        if self._ends:
+            self._ends = False
+            return [f.LogRequestEnd()]
         if not self.busy or now_s < self._due_s:
             return []
         if self.phase is Phase.WAITING:

@@ -502,7 +502,9 @@ class GainUpdates:
             update.tell(f'{text}, on trial: the next after {STEP_WATCH_S:g} s of flight')
 
     def end(self, why: str) -> None:
-        """Answer whoever waits, because no answer can come."""
+        """Begin to take back what is on trial, which nobody will watch; answer whoever waits."""
+        if self.state in ON_TRIAL:
+            self._take_back(why)
         waiting, self._going_back = self._going_back, []
         for reply in waiting:
             reply(False, why)

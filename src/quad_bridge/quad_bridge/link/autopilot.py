@@ -201,19 +201,26 @@ class Autopilot:
             parts.append((PRESSURE, replace(frame, mag_gauss=None)))
         return parts
 
-    def sticks(self, frame: RcChannels, now_ns: int) -> RcChannels | None:
+    def sticks(
+        self, frame: RcChannels, now_ns: int, channels: tuple[float, ...] = ()
+    ) -> RcChannels | None:
         """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
 
+        `channels` of these four, from 1, as the receiver sends them, where the autopilot says it.
         Betaflight sends them in its own order, yaw before throttle.
         """
         self.note(frame.name)
         has_channels = frame.port == 0 and bool(frame.channels)
         if not has_channels or not self.feeds(STICKS, frame.name, now_ns):
             return None
-        if self.betaflight and len(frame.channels) > 3:
-            roll, pitch, yaw, throttle, *others = frame.channels
-            return replace(frame, channels=(roll, pitch, throttle, yaw, *others))
-        return frame
+        if self.betaflight:
+            channels = (1, 2, 4, 3)
+        numbers = range(1, len(frame.channels) + 1)
+        known = len({*channels}) == len(channels) and {*channels} <= {*numbers}
+        if frame.name == 'MANUAL_CONTROL' or not known:
+            return frame
+        order = dict.fromkeys((*channels, *numbers))
+        return replace(frame, channels=tuple(frame.channels[int(k) - 1] for k in order))
 
     def battery(self, frame: Battery, now_ns: int) -> bool:
         """Whether this one counts: of several batteries the one with the lowest number."""

@@ -268,7 +268,8 @@ class Link:
         self._arrived(frame, now_ns)
 
     def _sticks(self, frame: f.RcChannels, now_ns: int) -> None:
-        sticks = self.autopilot.sticks(frame, now_ns)
+        channels = self.parameters.channels if self.parameters is not None else ()
+        sticks = self.autopilot.sticks(frame, now_ns, channels)
         if sticks is not None:
             self._arrived(sticks, now_ns)
             if frame.time_ms is None:

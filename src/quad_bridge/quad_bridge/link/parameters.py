@@ -1,4 +1,4 @@
-"""Parameters of another autopilot that say how its craft is built, asked for by name. Pure.
+"""Parameters of another autopilot that say how craft and sticks lie, asked for by name. Pure.
 
 PX4 and ArduPilot have a thousand parameters; a few dozen are read, some at a time, each asked for
 again where no answer comes. A name that the firmware does not know gets no answer either. What the
@@ -20,7 +20,10 @@ _PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')
 _PX4_MOST, _PX4_OUTPUTS = 12, 16
 PX4_FIRST_MOTOR = 101  # output function Motor 1
 _COUNT = 'CA_ROTOR_COUNT'
+_MAPS = {PX4: 'RC_MAP_', ARDUPILOT: 'RCMAP_'}
+_STICKS = ('ROLL', 'PITCH', 'THROTTLE', 'YAW')
 _ARDUPILOT = (
+    *(f'RCMAP_{stick}' for stick in _STICKS),
     'FRAME_CLASS', 'FRAME_TYPE', 'MOT_PWM_MIN', 'MOT_PWM_MAX',
     *(f'SERVO{k}_FUNCTION' for k in range(1, 17)),
 )  # fmt: skip
@@ -53,6 +56,12 @@ class Parameters:
         self._bytewise = peer.autopilot == PX4
         self._autopilot = peer.autopilot
         self._requested: dict[str, tuple[int, int]] = {}  # name to tries and when it is due again
+
+    @property
+    def channels(self) -> tuple[float, ...]:
+        """The receiver's channels of roll, pitch, throttle, yaw, from 1; 0 where not known."""
+        name = _MAPS.get(self._autopilot, '')
+        return tuple(self.values.get(name + stick, 0.0) for stick in _STICKS)
 
     @property
     def complete(self) -> bool:
@@ -97,4 +106,4 @@ def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:
         outputs = []  # every motor has its output
     elif not all(name in values for name in outputs[:count]):
         outputs = outputs[:count]
-    return (_COUNT, *rotors, *outputs)
+    return (_COUNT, *rotors, *outputs, *(f'RC_MAP_{stick}' for stick in _STICKS))

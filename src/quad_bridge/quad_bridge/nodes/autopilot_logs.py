@@ -58,6 +58,10 @@ class AutopilotLogs:
         if text.startswith('Arm: ') and 'ownloading log' in text:
             self._fetch.stop('the pilot wants to fly; ~/fetch_log fetches it later')
 
+    def end(self) -> None:
+        """Give a fetch up."""
+        self._fetch.stop('the node was deactivated; ~/fetch_log fetches the rest')
+
     @property
     def coming(self) -> bool:
         """Whether the log is on the line now."""

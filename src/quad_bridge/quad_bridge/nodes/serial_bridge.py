@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -67,6 +68,7 @@ from quad_bridge.wire import frames as f
 TICK_S = 0.1  # an executor's turn costs half a millisecond; what is urgent the port's thread does
 POLL_NS = 20_000_000
 """Longest time between two looks at what is to be asked of the aircraft while bytes arrive."""
+BACK_S = 4.0  # longest wait for the old gains and the pilot's mode at the end; launch kills at 10
 REPORT_S = 0.1  # least time between two reports, however many updates are refused
 YAW_STICK = 3
 
@@ -204,19 +206,34 @@ class SerialBridge(ManagedNode):
         self._port.start()
 
     def deactivate(self) -> None:
-        """End a running excitation, stop the port's thread, finish the history."""
+        """End excitation and trial, wait until the aircraft has what it had, stop the port.
+
+        Nobody watches gains on trial any more, and PX4 and ArduPilot take nothing back themselves.
+        """
         if self._relay.injection:
             with self._lock:
                 end = self._relay.segment({'segment': 'idle'})
-                self._poll_gains(clock().now_ns())  # an autopilot gets its pilot's mode back
             self._forward(end)
         self._operator.end()
         with self._lock:
             self._gains.disturb('the node was deactivated')
             self._gains.end('the node was deactivated')
+            self._logs.end()
+            self._poll_gains(clock().now_ns())
+            self._flush()
+        until_s = time.monotonic() + BACK_S
+        while not self._at_rest() and time.monotonic() < until_s:
+            time.sleep(0.02)
+        self._tell_notes()
         self._port.stop()
         self._worker.close()
         self._log_worker.close()
+
+    def _at_rest(self) -> bool:
+        """Whether the aircraft has nothing left of a trial or an excitation, or is not there."""
+        with self._lock:
+            back = self._gains.state is State.IDLE and self._present().at_rest
+            return back or self._port.status.state is not PortState.OPEN
 
     # Called in the port's thread.
 
@@ -391,7 +408,6 @@ class SerialBridge(ManagedNode):
             self._gains.tick(clock().now_s())
             self._poll_gains(now_ns)
             self._flush()
-            notes, self._gains.notes = self._gains.notes, []
         self._operator.tick()
         self._gain_services.tick()
         self._sensor_services.tick()
@@ -400,10 +416,16 @@ class SerialBridge(ManagedNode):
             end = self._relay.tick(clock().now_s())
         if end is not None:
             self._forward(end)
+        if self._tell_notes() and clock().now_s() - self._reported_s > REPORT_S:
+            self._on_report()
+
+    def _tell_notes(self) -> bool:
+        """Log and publish what has happened to the gains; whether anything has."""
+        with self._lock:
+            notes, self._gains.notes = self._gains.notes, []
         for item in notes:
             self._tell(item)
-        if notes and clock().now_s() - self._reported_s > REPORT_S:
-            self._on_report()
+        return bool(notes)
 
     def _tell(self, item: Note) -> None:
         if item.fault:

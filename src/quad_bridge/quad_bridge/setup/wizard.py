@@ -325,7 +325,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if name not in steps:
             parser.error(f'no step {name!r}: known are {", ".join(steps)}')
     # as by Ctrl-C where the terminal or its ssh is gone: what was written is saved
-    signal.signal(signal.SIGHUP, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.default_int_handler)
     return ended_in_one_line('setup', lambda: _set_up(args))
 
 
