@@ -25,7 +25,14 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import behind_lean, loop_plant, not_in_the_loop
 from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model import GainProposal
-from quad_sysid.motion import altitude_of, in_body, lean, over_level, vertical_motion
+from quad_sysid.motion import (
+    GRAVITY,
+    altitude_of,
+    in_body,
+    lean,
+    over_level,
+    vertical_motion,
+)
 from quad_sysid.record import GainChange, Record, Segment
 from quad_sysid.whole import whole_of
 from quad_tuning.designer import propose
@@ -168,6 +175,20 @@ def test_a_lean_acts_from_one_sample_to_the_next(every, lost):
                     angles=angles, velocity=speed).for_axis('surge')
     driven = record.motion('surge').control[:-1, 1]
     np.testing.assert_allclose(driven, np.diff(0.05 * t[::every]**2) / 0.02, atol=1e-4)
+
+
+def test_a_lean_counts_by_the_thrust_that_leans():
+    """Altitude is held loosely, and the accelerometer shakes."""
+    t = 0.004 * np.arange(5000)
+    angles = np.column_stack([0.0 * t, np.full(t.size, 0.1), 0.0 * t])
+    thrust = 1.0 + 0.15 * np.sin(1.5 * t)
+    force = in_body(np.column_stack([0.0 * t, 0.0 * t, GRAVITY * thrust]), angles)
+    force += np.random.default_rng(1).normal(0.0, 1.0, force.shape)
+    speed = np.where(np.arange(t.size)[:, None] % 5 == 0, np.zeros((t.size, 3)), np.nan)
+    record = Record('a flight', 0.004, np.zeros((t.size, 3)), np.ones((t.size, 4)),
+                    angles=angles, acceleration=force, velocity=speed).for_axis('surge')
+    driven = record.motion('surge').control[10:-10, 1]
+    np.testing.assert_allclose(driven, np.tan(0.1) * thrust[2::5][10:-10], rtol=0.06)
 
 
 @pytest.mark.parametrize('every', [1, 5])

@@ -65,6 +65,10 @@ def test_round_trip_is_exact(tmp_path):
         (lambda _, roll: roll['base'][0].update(value='big'), 'gain.value: must be a f'),
         (lambda _, roll: roll['base'].pop(), 'must list gain, lag'),
         (lambda _, roll: roll['covariance'].pop(), 'must be 6 by 6'),
+        (lambda _, roll: roll['effects'][0].update(
+            name='shape:rate', variant='smooth', settings={'knots': [0.0, 1.0], 'mean': [0.0] * 6},
+            parameters=[{**roll['effects'][0]['parameters'][0], 'name': f'y{i}'}
+                        for i in range(6)]), 'settings with which an effect cannot run'),
     ],
 )
 def test_a_damaged_file_is_named_in_one_line(tmp_path, refusal, damage, said):

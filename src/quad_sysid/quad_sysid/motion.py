@@ -17,6 +17,9 @@ GRAVITY = 9.80665
 """Standard gravity, m/s²."""
 CROSSOVER_HZ = 0.15
 """Below it the barometer says how high the aircraft is, above it the accelerometer."""
+HEAVE_S = 0.2
+"""Time over which a vertical force is averaged: propellers shake an accelerometer faster, and an
+aircraft rises and sinks more slowly."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,17 @@ def lean(angles: FloatArray) -> FloatArray:
     """
     roll, pitch = angles[:, 0], angles[:, 1]
     return np.column_stack([np.tan(pitch), -np.tan(roll) / np.cos(pitch)])
+
+
+def thrust_held(acceleration: FloatArray, angles: FloatArray, dt: float) -> FloatArray:
+    """(n,) vertical thrust over weight by the specific force (n, 3), m/s²; 1 where not measured.
+
+    Its mean counts as the weight: over a flight the mean vertical acceleration is next to nothing.
+    """
+    up = over_level(acceleration, angles)[:, 2]
+    change = np.nan_to_num(up - np.nanmean(up)) / GRAVITY
+    count = min(2 * round(0.5 * HEAVE_S / dt) + 1, change.size)
+    return np.asarray(1.0 + np.convolve(change, np.full(count, 1.0 / count), 'same'))
 
 
 def upright(angles: FloatArray) -> FloatArray:

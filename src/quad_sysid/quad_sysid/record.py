@@ -18,7 +18,7 @@ from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.motion import Motion, between, lean, turned, upright
+from quad_sysid.motion import Motion, between, lean, thrust_held, turned, upright
 from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
@@ -28,7 +28,7 @@ WIDTHS = {
     'velocity': 3, 'altitude': 0, 'lean': 2,
 }
 """Array of a Record → its columns: 0 for one without (n,), None for any number."""
-ACTING = ('control', 'motors', 'wrench', 'lean')
+ACTING = ('control', 'motors', 'wrench', 'lean', 'acceleration')
 SPARSE = ('velocity', 'altitude', 'lean')
 """Arrays that act over a whole cycle, and those that may come more rarely."""
 SPEED_DT_S = (0.01, 0.05)
@@ -246,6 +246,8 @@ class Record:
         # cycle, the speed that of its start
         leaning = turned(lean(between(angles)) if self.lean is None else self.lean,
                          between(yaw) - mean)
+        if self.acceleration is not None:
+            leaning *= thrust_held(self.acceleration, angles, self.dt)[:, None]
         driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
         speed = turned(self.velocity[:, :2], yaw - mean)
         return Motion(speed[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from quad_sysid.axes import axes_in, axis_of
 from quad_sysid.blackbox import Model, polynomial_model
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import BadInputError
+from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.files import read_json, write_whole
 from quad_sysid.model import LAW, AxisModel
 from quad_sysid.model.effect import Effect
@@ -116,7 +116,11 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
     effects = tuple(own_effects)
     models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', effects))
               for axis, tree in axes.items()}
-    return {axis: _with_own(model, effects) for axis, model in models.items()}
+    models = {axis: _with_own(model, effects) for axis, model in models.items()}
+    for axis, model in models.items():
+        for one in filter(None, (model, model.reference)):
+            _refuse_unrunnable(one, f'{path}: axes.{axis}')
+    return models
 
 
 def _with_own(model: AxisModel, effects: Sequence[Effect]) -> AxisModel:
@@ -217,6 +221,22 @@ def _refuse_negative(model: AxisModel, where: str) -> None:
     for name, value in values.items():
         if value < 0.0:  # NaN: a variance at a bound
             raise BadInputError(f'{where}.{name}', 'must not be negative', value, AGAIN)
+
+
+def _refuse_unrunnable(model: AxisModel, where: str) -> None:
+    """Raise BadInputError where its effects, if they are known here, do not run as stored."""
+    from quad_sysid.loop.from_model import whole_plant  # seconds to import, with scipy's
+
+    try:
+        if np.isfinite(whole_plant(model).held):
+            return
+    except QuadSysidError:  # whoever runs it may hand in what is not known
+        return
+    except (ArithmeticError, LookupError, TypeError, ValueError):
+        pass
+    names = ' or '.join(effect.name for effect in model.effects)
+    raise BadInputError(f'{where}.effects', 'holds settings with which an effect cannot run',
+                        names, AGAIN)
 
 
 def _polynomial(tree: object, where: str) -> Model:
