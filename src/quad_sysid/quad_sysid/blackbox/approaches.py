@@ -22,6 +22,7 @@ from quad_sysid.blackbox.innovations import lead_of, without
 from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.prediction_error import (
     Point,
+    bj,
     descend,
     evaluate,
     inverse_of,
@@ -37,6 +38,9 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import IOData
 
+COLOUR = 4
+"""Order of C and D of the noise behind a loop; 3 to 6 give the same plant. Without a noise model,
+or with 2, the part of u that r explains is so poorly known that the plant's gain comes out low."""
 LOOP_NOISE_ORDER = 100
 """Highest order of the noise's filter behind a loop: its integrators leave hardly any noise below
 the crossover, which a short autoregression cannot show."""
@@ -88,9 +92,11 @@ def _of_two_stages(first: Model, loop: IOData, second: Model, behind: IOData) ->
         return [np.pad(part, [(b - a - len(part), 0), *[(0, 0)] * (part.ndim - 1)])
                 for part, (a, b) in zip(parts, segments, strict=True)]
 
-    passed_on = np.sum([  # how the second stage's slope moves with the first one's parameters
-        after.T @ filter_columns(np.convolve(second.D, second.B),
-                                 np.convolve(second.C, second.F), before)
+    # how the free run of the first stage, and so the second one's slope, moves with its parameters
+    ahead = np.convolve(np.convolve(second.D, second.B), first.C)
+    feeding = np.convolve(np.convolve(second.C, second.F), first.D)
+    passed_on = np.sum([
+        after.T @ filter_columns(ahead, feeding, before)
         for before, after in zip(whole(one.gradients), whole(two.gradients), strict=True)], axis=0)
     inverse = inverse_of(two)
     turns = (-inverse_of(one) @ passed_on.T @ inverse, inverse)
@@ -112,7 +118,7 @@ def _of_two_stages(first: Model, loop: IOData, second: Model, behind: IOData) ->
 def noise_free(where: str, z: IOData, x: FloatArray, order: int | None = None) -> FloatArray:
     """(n,) the part of x that the reference z.r explains: free run of a model from r to x.
 
-    A high-order ARX model, or, with `order`, an output error model of that order. Raises
+    A high-order ARX model, or, with `order`, a BJ model of that order. Raises
     BadInputError, naming `where`, where the reference is missing or cannot serve.
     """
     loop = _from_reference(where, z, x)
@@ -139,7 +145,7 @@ def _response(where: str, loop: IOData, order: int | None) -> Model:
     """The model of `noise_free`."""
     try:
         if order is not None:
-            return oe(loop, order, order, 0)
+            return bj(loop, order, COLOUR, COLOUR, order, 0)
         longest = max(stop - start for start, stop in loop.segments)
         high = max(1, min(20, longest // 20))  # instruments need no exact model
         return stabilised(arx(loop, high, high, 0))
