@@ -7,9 +7,10 @@ from unittest import mock
 import numpy as np
 import pytest
 from flown_axis import model_of
+from known_plants import reference_study
 from scipy import signal
 
-from quad_sysid.blackbox import frequency_response
+from quad_sysid.blackbox import detrend, frequency_response, residual_test
 from quad_sysid.effects import EFFECTS
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import plant_like
@@ -20,6 +21,7 @@ from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
 from quad_sysid.pipeline.advice import _between_flights, _beyond
 from quad_sysid.pipeline.assemble import Support
+from quad_sysid.pipeline.blackbox_part import box_jenkins, fit_models
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, IOData, Record, Segment
 from quad_sysid.report import document, text
@@ -105,6 +107,30 @@ def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plan
     true = 450.0 / abs((3j + 0.4) * (0.04 * 3j + 1.0))
     found = frequency_response(row.step_a.model, w).magnitude[0]
     assert abs(found / true - 1.0) < 0.03
+
+
+def test_order_and_delay_are_the_plants_where_the_command_feels_the_rate_of_its_own_cycle():
+    """Least squares then takes the controller for an undelayed plant."""
+    study = reference_study()
+    truth = dataclasses.replace(study.truth, noise_variance=2.5)
+    study = dataclasses.replace(study, truth=truth, samples=4000)
+    fits = fit_models(study.record(np.random.default_rng(1)))
+    assert (fits.nk, fits.order) == (study.truth.nk, 2)
+
+
+def test_box_jenkins_passes_the_first_step_behind_a_gyros_filter_in_any_unit():
+    n, rng = 3000, np.random.default_rng(2)
+    plant = plant_like('roll', np.array([450.0, 0.04, 0.008, 0.4, 0.0]), DT, 42.0)
+    noise = 2.0 * NOISE * signal.lfilter(*signal.butter(2, 42.0, fs=1.0 / DT),
+                                         rng.standard_normal(n))
+    run = simulate_cascade(plant, SLOW, references(n, 3), DT, noise=noise,
+                           disturbance=0.5 * rng.standard_normal(n))
+    units = [detrend(IOData(run.control, unit * run.rate, DT)) for unit in (1.0, 57.3)]
+    in_rad, in_deg = (box_jenkins([], z, 5) for z in units)
+    assert in_rad.name == in_deg.name
+    test = residual_test(units[0], in_rad, fitted=True)
+    assert test.residual_white
+    assert test.residual_uncorrelated_with_input
 
 
 def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):

@@ -27,7 +27,7 @@ def jittered(share: float) -> np.ndarray:
     [
         (T, 250.0, True, 1e-12, '0 odd intervals; each kept in its own cycle of 250 Hz'),
         (jittered(0.05), 250.0, True, 0.01, 'kept in its own'),
-        (jittered(0.3), 250.0, False, 0.002, 'jitter of'),
+        (jittered(0.3), 250.0, False, 0.002, 'jitter of 15 % of a cycle'),
         (jittered(0.95), 250.0, False, 0.01, 'the rate is uneven'),
         (np.delete(T, [100, 101, 900]), 250.0, True, 1e-12, '2 gaps of 0.012 s in all'),
         (np.sort(np.concatenate([T, T[5::400] + 0.4 * DT])), 250.0, True, 0.01, '10 odd'),

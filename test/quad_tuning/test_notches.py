@@ -59,7 +59,8 @@ def test_what_lies_near_the_crossover_or_beyond_the_d_notch_is_left_to_others():
     by_d = propose_notches({'roll': (Peak(80.0, 0.5),)}, gains, CROSSING, 0.004)
     assert [one.place for one in by_d] == ['rate.d_notch']
     assert 0.0 < by_d[0].phase_deg <= MOST_PHASE_DEG
-    high = propose_notches({'roll': (Peak(D_HIGHEST_HZ + 8.0, 0.5),)}, gains, CROSSING, 0.004)
-    assert [one.place for one in high] == ['sensor.notch_1']
+    beyond = {'roll': tuple(Peak(D_HIGHEST_HZ + above, 0.5) for above in (2.0, 8.0, 14.0))}
+    high = propose_notches(beyond, gains, CROSSING, 0.004)
+    assert [one.place for one in high] == ['sensor.notch_1', 'sensor.notch_2']
     used = gains | {'sensor.notch_1_hz': 90.0, 'sensor.notch_2_hz': 100.0}
     assert propose_notches({'roll': (Peak(118.0, 0.5),)}, used, CROSSING, 0.004) == ()

@@ -164,11 +164,10 @@ def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
         return None
     attitude = angles[seen].copy()
     if record.lean is not None:
-        forward, left = record.lean[seen].T
-        tilted = np.isfinite(forward) & np.isfinite(left)
-        pitch = np.arctan(forward[tilted])
-        attitude[tilted, 0] = -np.arctan(left[tilted] * np.cos(pitch))
-        attitude[tilted, 1] = pitch
+        tilted = np.isfinite(record.lean[seen]).all(axis=1)
+        forward, left = record.lean[seen][tilted].T
+        pitch = np.arctan(forward)
+        attitude[tilted, :2] = np.column_stack([-np.arctan(left * np.cos(pitch)), pitch])
     speed, time = velocity[seen], seen * record.dt
     world = turned(np.nan_to_num(speed[:, :2]), attitude[:, 2])
     steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]

@@ -372,7 +372,7 @@ def to_convergence(problem: Problem, search: SearchResult) -> SearchResult:
     It stays where nothing near it converges either. What leads and runs away in a free run goes
     too: it predicts the next sample only.
     """
-    best = search.all[0].score
+    best = max(entry.score for entry in search.all)
     near = [entry.fit for entry in search.all
             if entry.score > best - NEAR and not entry.fit.converged]
     fits = side_by_side([partial(fitted_from, problem, fit.structure, fit.theta, rate=fit.rate)

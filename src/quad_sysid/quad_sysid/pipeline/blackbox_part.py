@@ -22,6 +22,7 @@ from quad_sysid.blackbox import (
     horizon_errors,
     iv4,
     oe,
+    residual_test,
     search_arx,
     step_a,
 )
@@ -34,9 +35,8 @@ from quad_sysid.pipeline.answer import ModelRow
 from quad_sysid.record import IOData, finite_runs
 
 ORDERS = (2, 3, 4)
-"""Orders of the plant B/F in structures with a separate noise model."""
-NOISE_ORDER = 2
-"""Order of C and D: a coloured residual with one resonance."""
+"""Orders of the plant B/F and of the noise C/D beside it, which has the poles of axis and filter:
+with C and D of order 2 no residual behind a gyro's filter is white."""
 SHORTEST = 100
 """Samples of a validation span that is worth a fit."""
 
@@ -84,7 +84,7 @@ class Fits:
     delay: int
     """Delay in samples by the lowest BIC."""
     order: int
-    """Order of the plant B/F, by BJ's lowest BIC."""
+    """Order of the plant B/F, BJ's."""
     nk: int
     """Delay of the other structures, alike: noise hides a small first coefficient from ARX."""
     refused: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ class Fits:
 def fit_models(z: IOData) -> Fits:
     """Fit ARX by order search (AIC, BIC; the paper's ranges) and the other structures beside it.
 
-    Their plant's order is the one with which BJ has the lowest BIC.
+    Their plant's order is BJ's.
     """
     searches = [search_arx(z, range(2, 11), range(1, 11), range(1, 9), criterion)
                 for criterion in ('aic', 'bic')]
@@ -107,43 +107,49 @@ def fit_models(z: IOData) -> Fits:
     if dict(models[0].orders) == dict(models[1].orders):
         models.pop()
     refused: list[str] = []
-    delay = delay_estimate(z)
-    best = _box_jenkins(refused, z, min(max(delay, 1), 8))
-    n, nk = (ORDERS[0], min(max(delay, 1), 8)) if best is None else (best.F.size - 1, best.nk)
+    latest = searches[1].model.nk  # a command that feels the rate of its cycle looks undelayed
+    best = box_jenkins(refused, z, latest)
+    n, nk = (ORDERS[0], latest) if best is None else (best.F.size - 1, best.nk)
     if best is not None:
         models.append(best)
     models += tried(refused, lambda: armax(z, n, n, n, nk), lambda: oe(z, n, n, nk))
     models += _highest_stable(refused, n, lambda order: iv4(z, order, order, nk))
     if z.r is not None:
         models += _highest_stable(
-            refused, n, lambda order: clriv(z, order, NOISE_ORDER, NOISE_ORDER, order, nk)
+            refused, n, lambda order: clriv(z, order, order, order, order, nk)
         )
-    return Fits(tuple(models), searches[0], delay, n, nk, tuple(refused))
+    return Fits(tuple(models), searches[0], delay_estimate(z), n, nk, tuple(refused))
 
 
-def _box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
-    """The BJ model of the lowest BIC: orders rise while it falls, then delays shrink alike."""
+def box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
+    """The BJ model of the lowest BIC, of those whose residual is white and free of past inputs.
 
-    def rank(model: Model) -> tuple[bool, float]:
-        return not model.converged, model.bic
+    Or of all, where none is. Delays shrink while that makes it better, and orders rise alike.
+    """
+
+    def rank(model: Model) -> tuple[bool, bool, float]:
+        test = residual_test(z, model, fitted=True)
+        passed = test.residual_white and test.residual_uncorrelated_with_input
+        # each fit has rows of its own: their number would count with the unit of the rate
+        bic = z.n * math.log(model.loss) + model.parameters.size * math.log(z.n)
+        return not model.converged, not passed, bic
 
     def fitted(order: int, delay: int, start: Model | None = None) -> Model | None:
-        models = tried(refused, lambda: bj(z, order, NOISE_ORDER, NOISE_ORDER, order, delay,
-                                           start=start))
+        models = tried(refused, lambda: bj(z, order, order, order, order, delay, start=start))
         return models[0] if models else None
 
     best: Model | None = None
     for order in ORDERS:
-        higher = fitted(order, nk)
+        higher = fitted(order, nk if best is None else best.nk)
+        while higher is not None and higher.nk > 1:
+            start = replace(higher, B=higher.B[:-1], nk=higher.nk - 1)
+            earlier = fitted(order, start.nk, start)
+            if earlier is None or rank(earlier) >= rank(higher):
+                break
+            higher = earlier
         if best is not None and (higher is None or rank(higher) >= rank(best)):
             break
         best = higher
-    while best is not None and best.nk > 1:
-        start = replace(best, B=best.B[:-1], nk=best.nk - 1)
-        earlier = fitted(best.F.size - 1, start.nk, start)
-        if earlier is None or rank(earlier) >= rank(best):
-            break
-        best = earlier
     return best
 
 

@@ -252,9 +252,8 @@ def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]
     more = [scored(fit, searched.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return to_convergence(problem, replace(
-        searched, all=tuple(sorted((*searched.all, *more), key=lambda entry: -entry.score)),
-        reasons=searched.reasons | failed))
+    return to_convergence(problem, replace(searched, all=(*searched.all, *more),
+                                           reasons=searched.reasons | failed))
 
 
 def _would_help(findings: Findings, not_searched: str) -> str:
