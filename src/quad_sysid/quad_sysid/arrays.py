@@ -509,13 +509,13 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str,
     record, _, warnings = record_of(log, dt=series.dt)
     measured = np.asarray(angle if rate is None else rate)
     record = replace(record, units=units, warnings=(
-        *record.warnings, *warnings, *_held(series.u), *_too_coarse(measured, record.dt)))
-    begun = next(float(moved.time_s[0]) for moved in (log.rates, log.angles) if moved is not None)
-    return split_segments(with_parts(record, series.time_s - begun, (axis,), train, validate),
+        *record.warnings, *warnings, *_gap_warning(series.u), *_too_coarse(measured, record.dt)))
+    start_s = next(float(each.time_s[0]) for each in (log.rates, log.angles) if each is not None)
+    return split_segments(with_parts(record, series.time_s - start_s, (axis,), train, validate),
                           axes=(axis,))
 
 
-def _held(u: FloatArray) -> tuple[str, ...]:
+def _gap_warning(u: FloatArray) -> tuple[str, ...]:
     """A warning where the input is missing, else nothing."""
     lost = int(np.isnan(u).sum())
     text = (f'u is missing in {lost} of {u.size} samples: the one before is held there, which '

@@ -137,11 +137,11 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
         s = plant.with_motors(replace(flying.around, sent=np.atleast_1d(u)))
         return flat(plant.step(unflat(x[:, None], start), s))[:, 0]
 
-    def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
+    def output(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
         rate, angle = plant.measured(unflat(x[:, None], start))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(update, shown, states=flat(start).shape[0], dt=model.dt, **names)
+    return control.nlsys(update, output, states=flat(start).shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {

@@ -229,11 +229,11 @@ def _best_of(
     responses: Mapping[str, tuple[_Response, ...]], idle: tuple[str, ...]
 ) -> tuple[Pattern, ...]:
     """The best pattern of each axis that moves; motors may be idle for the axes of `idle`."""
-    tried = [[_best(axis, response, idle=axis in idle) for response in candidates]
-             for axis, candidates in responses.items()]
+    patterns_of_axes = [[_best(axis, response, idle=axis in idle) for response in candidates]
+                        for axis, candidates in responses.items()]
     return tuple(
         max(patterns, key=lambda p: (p.certain, p.response != 'angle', p.share))
-        for patterns in tried if patterns
+        for patterns in patterns_of_axes if patterns
     )
 
 

@@ -357,9 +357,9 @@ class Record:
         def cells(values: FloatArray) -> FloatArray:
             return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
 
-        seen = np.zeros(n, dtype=bool)
+        has_sample = np.zeros(n, dtype=bool)
         nearest = np.round((measured - phase) / count).astype(int)
-        seen[nearest[(nearest >= 0) & (nearest < n)]] = True
+        has_sample[nearest[(nearest >= 0) & (nearest < n)]] = True
         angles = None if self.angles is None else across_gaps(
             self.angles, SHORT_GAP_S / self.dt)  # else a lost sample costs all cells that it is in
         arrays: dict[str, Any] = {}
@@ -378,7 +378,7 @@ class Record:
             values = cells(values)
             values = values.mean(axis=1) if array in ACTING else values[:, 0]
             if array in {'velocity', 'altitude'}:
-                values[~seen] = np.nan
+                values[~has_sample] = np.nan
             arrays[array] = values
         shift_s = phase * self.dt
         return replace(
@@ -518,8 +518,8 @@ def _frozen(name: str, value: object, n: int, width: int | None) -> FloatArray:
     array = _signal(name, value, 'Record')
     columns = array.shape[1:] if width is None else (width,) if width else ()
     if array.ndim != (1 if width == 0 else 2) or array.shape != (n, *columns) or not n:
-        wanted = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
-        raise BadInputError('Record', f'{name} must be ({wanted}) with n as in rates',
+        expected = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
+        raise BadInputError('Record', f'{name} must be ({expected}) with n as in rates',
                             f'{array.shape} for n = {n}')
     if array is value and array.flags.writeable:
         array = array.copy()

@@ -215,9 +215,9 @@ def _failures(
     lag = float(np.median([r.lag_s for r in others]))
     u = np.nan_to_num(record.motors[:, i])
     lagged = _behind(u, lag, 0.0, record.dt)
-    wanted: FloatArray = np.median([_speed(r, lagged) for r in others], axis=0)
-    turning = measured & (u > IDLE) & (wanted > 0.0)
-    share = np.where(turning, record.speeds[:, i] / np.where(turning, wanted, 1.0), 1.0)
+    expected: FloatArray = np.median([_speed(r, lagged) for r in others], axis=0)
+    turning = measured & (u > IDLE) & (expected > 0.0)
+    share = np.where(turning, record.speeds[:, i] / np.where(turning, expected, 1.0), 1.0)
     usual = float(np.median(share[turning])) if turning.any() else 1.0
     lines = []
     for word, low in (('stands still', share < STOPS),

@@ -176,7 +176,7 @@ def flies(record: Record) -> bool:
     thrust, count = record.control[:, 0], max(2, round(SHAKING_S / record.dt))
     angles = np.zeros_like(record.rates) if record.angles is None else record.angles
     gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
-    seen = slice(2 if record.angles is None else 0, 3)
+    axes = slice(2 if record.angles is None else 0, 3)
     rows = record.n // count * count
     measured, on_rig, thrust = (array[:rows].reshape(rows // count, count, -1).mean(axis=1)
                                 for array in (record.acceleration, gravity, thrust))
@@ -185,7 +185,7 @@ def flies(record: Record) -> bool:
         return False
     measured, on_rig, thrust = measured[usable], on_rig[usable], thrust[usable]
     in_flight = GRAVITY * thrust / thrust.mean() * (0.0, 0.0, 1.0)
-    left = [(measured - predicted)[:, seen].var(axis=0).sum() for predicted in (in_flight, on_rig)]
+    left = [(measured - predicted)[:, axes].var(axis=0).sum() for predicted in (in_flight, on_rig)]
     return bool(left[0] < FREE * left[1])
 
 

@@ -122,18 +122,18 @@ def by_contract(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> 
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
-def steps_to(wanted: CascadeGains, active: CascadeGains, axis: str) -> tuple[CascadeGains, ...]:
-    """The steps from `active` to `wanted`, each within the limit."""
+def steps_to(target: CascadeGains, active: CascadeGains, axis: str) -> tuple[CascadeGains, ...]:
+    """The steps from `active` to `target`, each within the limit."""
     path: list[CascadeGains] = []
     now = active
     for _ in range(64):
-        if now == wanted:
+        if now == target:
             return tuple(path)
         values = {}
         for field in DESIGNED:
             low, high = reachable(field, getattr(now, field), axis)
-            values[field] = min(max(getattr(wanted, field), low), high)
-        following = replace(wanted, **values)
+            values[field] = min(max(getattr(target, field), low), high)
+        following = replace(target, **values)
         if following == now:
             break
         now = following

@@ -159,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _shared_filter(firmware: Firmware, gains: Mapping[str, float]) -> Iterator[str]:
     """A warning for each axis whose D filter is not the lowest, where all axes share one."""
     rows = () if firmware.table is None else firmware.table.rows
-    if not any(row.ours == D_FILTER and '{' not in row.theirs for row in rows):
+    if not any(row.ours == D_FILTER and '{' not in row.parameter for row in rows):
         return
     cutoffs = {axis: gains[f'{axis}.{D_FILTER}'] for axis in AXES
                if f'{axis}.{D_FILTER}' in gains and gains[f'{axis}.rate.kd']}

@@ -121,8 +121,8 @@ def _price(place: str, hz: float, width: float, command: float, peak: Peak, gain
     if place == 'rate.d_notch':
         behind = replace(gains, d_notch_hz=hz, d_notch_bandwidth_hz=width)
         at = np.array([2.0 * np.pi * max(crossing_hz, 1e-3)])
-        turned = behind.response(at, dt)[0, 0] / gains.response(at, dt)[0, 0]
-        return max(0.0, -float(np.degrees(np.angle(turned)))), _command(behind, peak, dt)
+        ratio = behind.response(at, dt)[0, 0] / gains.response(at, dt)[0, 0]
+        return max(0.0, -float(np.degrees(np.angle(ratio)))), _command(behind, peak, dt)
     at_hz = np.array([max(crossing_hz, 1e-3)])
     # half of a peak's power lies within an eighth of the notch's width about its centre
     passed = float(abs(notch(hz, width, np.array([hz + width / 8.0]))[0]))

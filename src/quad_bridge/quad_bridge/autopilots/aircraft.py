@@ -43,7 +43,7 @@ class AutopilotAircraft(Aircraft):
         self.gains.want(*kind.reads, *(SID_NAMES if kind.system_id else ()))
         self.takeover = Takeover(kind.means, self.flight, lambda: self.gains.values)
         self.system_id = SystemId(
-            self.flight, kind.means.set_mode, lambda: self.takeover.heard_s
+            self.flight, kind.means.set_mode, lambda: self.takeover.last_setpoint_s
         ) if kind.system_id else None
         self._ways = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
         self.craft: Craft | None = None
@@ -183,8 +183,8 @@ class AutopilotAircraft(Aircraft):
         """Say what to send now, beside parameters."""
         out = [frame for way in self._ways for frame in way.poll(now_s)
                if self.gains.sure or not isinstance(frame, f.ParamSet)]
-        heard = self.flight.beat_s >= self._doubt_s
-        if not self.gains.sure and heard and now_s - self._ask_s > AGAIN_S:
+        is_alive = self.flight.beat_s >= self._doubt_s
+        if not self.gains.sure and is_alive and now_s - self._ask_s > AGAIN_S:
             self._ask_s, self._requests = now_s, self._requests + 1
             if self._requests > REQUESTS and self.gains.aircraft in {'', self._name('')}:
                 self.gains.identify(self._name(''))  # it never says
@@ -223,7 +223,7 @@ class Connected:
         """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
-        self._now_s, self._heard_s = now_s, -math.inf
+        self._now_s, self._last_s = now_s, -math.inf
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -237,10 +237,10 @@ class Connected:
 
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
-        if self.autopilot is not None and now_s - self._heard_s > SWAP_S:
+        if self.autopilot is not None and now_s - self._last_s > SWAP_S:
             self.autopilot.doubt()
             self.autopilot.gains.restart()  # what is known of its parameters may be another's
-        self._heard_s = now_s
+        self._last_s = now_s
         if isinstance(frame, f.Heartbeat):
             self._meet(BY_NUMBER.get(frame.autopilot), frame.system)
         if self.autopilot is None:

@@ -111,7 +111,7 @@ class GainWatch:
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
         self._every = max(1, round(rate_hz / MAX_HZ))
-        self._held: list[tuple[Sequence[float], ...]] = []
+        self._buffer: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
         self._block = round(BLOCK_S / self._dt)  # rows
         centres = np.array(CENTRES_RAD_S)
@@ -138,7 +138,7 @@ class GainWatch:
     def restart(self) -> None:
         """Forget: it takes off or has landed, and how it was handled says nothing of a flight."""
         channels = (len(CENTRES_RAD_S) + 1, 3)
-        self._held.clear()
+        self._buffer.clear()
         self._memory = np.zeros((2, 2, *channels))
         self._energy = np.zeros((2, *channels))  # of the rates, and of what the references explain
         self._explained, self._worst = np.zeros(channels), np.zeros(channels)
@@ -196,18 +196,18 @@ class GainWatch:
         specific force along the vertical, m/s².
         """
         self._climb.step(up, self._dt / self._every)
-        self._held.append((rates, injected, attitude, reference))
+        self._buffer.append((rates, injected, attitude, reference))
         # only who compares must hurry; one turn over many rows costs a fraction of as many turns
         rows = 1 if self._bound is not None else self._block - self._rows % self._block
-        if len(self._held) >= rows * self._every:
+        if len(self._buffer) >= rows * self._every:
             self._run()
 
     def _run(self) -> None:
         """Work through the rows that are whole: means of rates, the last attitude."""
-        count = len(self._held) // self._every
-        held = np.array(self._held[: count * self._every])
-        del self._held[: count * self._every]
-        rows = held.reshape(count, self._every, 4, 3)
+        count = len(self._buffer) // self._every
+        samples = np.array(self._buffer[: count * self._every])
+        del self._buffer[: count * self._every]
+        rows = samples.reshape(count, self._every, 4, 3)
         rates, injected = np.moveaxis(np.add.reduce(rows[:, :, :2], axis=1) / self._every, 1, 0)
         attitude, reference = np.moveaxis(rows[:, -1, 2:], 1, 0)
         if self._last is None:
@@ -245,7 +245,7 @@ class GainWatch:
 
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
-        if len(self._held) >= self._every:
+        if len(self._buffer) >= self._every:
             self._run()
         self._watched = np.array([axis in axes for axis in AXES])
         predicted = predicted or {}

@@ -83,7 +83,7 @@ class LateGuard:
     """Compares a cycle's arrival with the time that its stamp would have."""
 
     def __init__(self) -> None:
-        self.anew = False  # device time fits a start since the last cycle that was heard before
+        self.fits_restart = False  # device time fits a start since the last cycle before
         self._late_ns = 0
         self.restart()
 
@@ -102,16 +102,16 @@ class LateGuard:
         """Whether so much between stamp and arrival needs an explanation."""
         return late_ns > self._allowed_ns
 
-    def step(self, late_ns: int, now_ns: int, *, anew: bool) -> bool:
+    def step(self, late_ns: int, now_ns: int, *, fits_restart: bool) -> bool:
         """Take a cycle's lateness as it arrives; whether it has to wait."""
         self._late_ns = late_ns
         if late_ns <= PAST_NS:
             self.restart()
         elif self._since_ns is None:
             if self.late(late_ns):
-                self._since_ns, self.anew = now_ns, anew
+                self._since_ns, self.fits_restart = now_ns, fits_restart
         elif now_ns - self._since_ns > PATIENCE_NS:
-            self.reset = self.anew
+            self.reset = self.fits_restart
             self.believe(late_ns)
         return self.waiting
 

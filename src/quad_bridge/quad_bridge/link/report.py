@@ -84,8 +84,9 @@ class LinkReport:
         }
         if link.cycles == previous.cycles:
             values |= {
-                f'{name} (Hz)': f'{rate_hz:.1f} of {wanted_hz:.0f}'
-                for name, (rate_hz, wanted_hz) in link.autopilot.rates(round(1e9 * now_s)).items()
+                f'{name} (Hz)': f'{rate_hz:.1f} of {requested_hz:.0f}'
+                for name, (rate_hz, requested_hz)
+                in link.autopilot.rates(round(1e9 * now_s)).items()
             }
         level, text = self._verdict(port, counts, previous, now_s)
         clock = clock_status(link, behind_ns, unset=unset, now_s=now_s)
@@ -161,7 +162,7 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         'restarts': clock.restarts,
         'uneven steps of device time': link.stamping.guard.alarms,
         'wraps at 32 bits': link.stamping.device_time.wraps,
-        'cycles held back': link.stamping.held,
+        'cycles held back': link.stamping.withheld,
         'false times, dropped': link.stamping.false_times,
     }
     deaf, silent_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns

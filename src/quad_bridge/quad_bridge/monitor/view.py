@@ -64,7 +64,7 @@ class State:
         ]  # fmt: skip
         return [line[:WIDTH] for line in out]
 
-    def wanted(self, band: tuple[float, float]) -> tuple[float, float]:
+    def reachable_band(self, band: tuple[float, float]) -> tuple[float, float]:
         """The part of the band `band` that the schedule's training segments can cover."""
         return reachable(band, self._value('train_s'))
 
@@ -81,7 +81,7 @@ class State:
         """The call to the operator; empty where there is none."""
         if self.coverage is None or not self.covered:
             return ''
-        low, high = self.coverage.wanted
+        low, high = self.coverage.target
         band, axis = f'{low:.2g} to {high:g} rad/s covered', self.segment.get('axis', '')
         if not self.suffices(validation_s):
             return f'training suffices: {band}; go on to validation'
@@ -183,7 +183,7 @@ class State:
         if coverage is None:
             little = f'{axis} too little yet to say'.strip()
             return [_line('coverage', '-', little), _line('', '', flown)]
-        low, high = coverage.wanted
+        low, high = coverage.target
         if self.target_band is not None and low > self.target_band[0]:
             flown += f'; {self.target_band[0]:g} rad/s needs {needed_s(self.target_band[0]):.0f} s'
         band = f'{coverage.band[0]:.2g} to {coverage.band[1]:.3g}' if coverage.band else 'nothing'

@@ -233,8 +233,8 @@ class BagLogger(ManagedNode):
             gaps = self._gaps.setdefault(topic, Gaps())
             lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
             recording.count_lost(lost)
-        arrived_ns = 0 if self._simulated else info.get('received_timestamp')
-        self._put(recording, topic, data, arrived_ns or self._now_ns())
+        arrival_ns = 0 if self._simulated else info.get('received_timestamp')
+        self._put(recording, topic, data, arrival_ns or self._now_ns())
 
     def take(self, topic: str, data: bytes) -> None:
         """Record a message that is published in this process; in any thread."""

@@ -73,9 +73,9 @@ class GainServices:
             count = len(request.parameters)
             if count > MAX_PARAMETERS:
                 raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')
-            wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
+            values = {'source': SOURCE, **conversion.values_of(request.parameters)}
             self._waiting.append((clock().now_s() + GAINS_S, done))
-            self._ask(wanted, lambda good, why: _settle(done, (good, why)))
+            self._ask(values, lambda good, why: _settle(done, (good, why)))
 
         return await _with_outcome(response, begin)
 

@@ -181,7 +181,7 @@ def derivative(
 ) -> None:
     """Write d(state)/dt of the RK4 states; `outside` (3,) N m is held over the step."""
     thrusts, drive, torque = np.empty(4), np.empty(3), np.empty(3)
-    force, pushed = np.empty(3), np.empty(3)
+    force, total = np.empty(3), np.empty(3)
     motor_thrusts(state, plant, voltage, thrusts)
     drive_torque(thrusts, plant, time_s, drive)
     w = plant.mode_rad_s
@@ -198,11 +198,11 @@ def derivative(
     for i in range(4):
         out[ROTORS + i] = (command[i] - state[ROTORS + i]) / plant.lag[i]
     air_force(state, plant, thrusts, force)
-    world_from_body(state[QUAT : QUAT + 4], force, pushed)
+    world_from_body(state[QUAT : QUAT + 4], force, total)
     for i in range(3):
         weight = GRAVITY_M_S2 if i == 2 else 0.0
         out[POSITION + i] = plant.moves * state[VELOCITY + i]
-        out[VELOCITY + i] = plant.moves * (pushed[i] - weight)
+        out[VELOCITY + i] = plant.moves * (total[i] - weight)
 
 
 @kernel

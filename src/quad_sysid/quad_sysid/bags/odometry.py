@@ -159,21 +159,21 @@ def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
     velocity, angles = record.velocity, record.angles
     if velocity is None or angles is None or record.speed_filter_hz is not None:
         return None
-    seen = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
-    if seen.size < LEAST:
+    measured = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
+    if measured.size < LEAST:
         return None
-    attitude = angles[seen].copy()
+    attitude = angles[measured].copy()
     if record.lean is not None:
-        forward, left = record.lean[seen].T
+        forward, left = record.lean[measured].T
         tilted = np.isfinite(forward) & np.isfinite(left)
         pitch = np.arctan(forward[tilted])
         attitude[tilted, 0] = -np.arctan(left[tilted] * np.cos(pitch))
         attitude[tilted, 1] = pitch
-    speed, time = velocity[seen], seen * record.dt
+    speed, time = velocity[measured], measured * record.dt
     world = turned(np.nan_to_num(speed[:, :2]), attitude[:, 2])
     steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]
-    place = np.zeros((seen.size, 3))
+    place = np.zeros((measured.size, 3))
     place[1:, :2] = np.cumsum(steps, axis=0)
-    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[seen])
+    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[measured])
     twist = in_body(speed, attitude) if np.isfinite(speed).all() else speed
-    return Stamped(stamps[seen], np.column_stack([place, quaternions(attitude), twist]))
+    return Stamped(stamps[measured], np.column_stack([place, quaternions(attitude), twist]))

@@ -80,9 +80,9 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
             streams[topic] = _stream(stamps, array)
     if battery is not None:
         streams['/battery'] = _stream(stamps[::step], battery[::step, None])
-    moved = odometry_of(record, stamps)
-    if moved is not None:
-        streams[ODOM] = moved
+    odometry = odometry_of(record, stamps)
+    if odometry is not None:
+        streams[ODOM] = odometry
     return write_streams(path, streams, _events(record), options,
                          '' if record.craft == X else record.craft.to_urdf())
 

@@ -455,12 +455,12 @@ def _posterior(
             reproducible = ladder.reproducible.get(name, 1.0)
             share = defaultdict(float, {name: reproducible, UNLISTED: 1.0 - reproducible})
         least = LEAST_REPORTED * sum(share.values())
-        kept = {other: v for other, v in share.items() if other == name or v > least}
+        probable = {other: v for other, v in share.items() if other == name or v > least}
         if len(search.prices) == 1:  # a lone candidate has no other rival
-            kept['nothing'] = share['nothing']
-        total = sum(kept.values()) or 1.0
-        probabilities.append(kept.pop(name, 0.0) / total)
+            probable['nothing'] = share['nothing']
+        total = sum(probable.values()) or 1.0
+        probabilities.append(probable.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(
-            ((other, v / total) for other, v in kept.items()), key=lambda item: -item[1]
+            ((other, v / total) for other, v in probable.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)

@@ -178,7 +178,7 @@ class _Beside(Trajectory):
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             if part.effect.wanders:
-                responses = np.stack([self._followed(p, psi) for p, psi
+                responses = np.stack([self._tracked_change(p, psi) for p, psi
                                       in zip(batch, responses.T, strict=True)], axis=1)
             out = self.weight * responses
             common = self.q.T @ out  # what the fit's own parameters can do too
@@ -306,7 +306,7 @@ class _Beside(Trajectory):
         start[linear], gentle[linear] = x, 0.3 * x
         return Score(part, (start,) if len(linear) == p.size else (start, gentle), nats)
 
-    def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
+    def _tracked_change(self, p: FloatArray, psi: FloatArray) -> FloatArray:
         """(n,) change of the innovations if a coefficient follows them."""
         flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi)
         pursuit, out = flight.pursuit(psi, p), e.copy()
@@ -341,6 +341,6 @@ def _replaced(problem: Problem, effect: Effect) -> str:
     """Why an effect has no built-in term to change beside a law of the user's; '' where it has."""
     of_drive = not effect.moves_command and {'command', 'history'} <= {*effect.signals}
     term = 'gain' if of_drive else {'response': 'lag'}.get(effect.term, effect.term)
-    gone = [BASE[i].name for i in problem.held_terms]
+    gone = [BASE[i].name for i in problem.zero_terms]
     return (f"it acts on the {term}, which the base of one's own replaces; keep=({term!r},) fits "
             'it beside the law') if term in gone and term != 'damping' else ''

@@ -174,7 +174,7 @@ class PeriodicDelay(Clocked):
         return np.r_[p[0], rotated.view(np.float64)]
 
 
-class Held(Clocked):
+class SampleAndHold(Clocked):
     """The motors take a command less often than it is computed, and hold it.
 
     Half a period counts as part of the base's delay.
@@ -227,5 +227,6 @@ EVENTS: tuple[Effect, ...] = (
         lambda s, p: p[2] * (after(s, p[0]) - after(s, p[0] + p[1])),
         lengths=((0.4,), (2.0,)), kind='event', variant='torque for a while'),
     Periodic('torque', 'periodic_disturbance'),
-    Periodic('gain', 'shape:gain:time', kind='shape', variant='periodic'), PeriodicDelay(), Held(),
+    Periodic('gain', 'shape:gain:time', kind='shape', variant='periodic'),
+    PeriodicDelay(), SampleAndHold(),
 )

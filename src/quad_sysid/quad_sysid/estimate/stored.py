@@ -95,7 +95,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):
-        if name in vague or i in problem.held_terms or not joint[i, i] > 0.0:
+        if name in vague or i in problem.zero_terms or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
     errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
@@ -105,7 +105,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
             for (name, value, unit), std in zip(group, errors, strict=False)
         ) for i, group in enumerate(groups)
     )
-    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.held_terms else p
+    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.zero_terms else p
                  for i, p in enumerate(base))
     return Readings(base, tuple(effects), names, joint)
 

@@ -22,7 +22,6 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fitted_from
 from quad_sysid.discover.constants import (
-    BELIEVED,
     BLOCK_S,
     ENOUGH,
     EXPLAINS,
@@ -32,6 +31,7 @@ from quad_sysid.discover.constants import (
     MOST_STRUCTURES,
     NAMED_FIRST,
     NEGLIGIBLE,
+    PRIOR_SIGMAS,
     PROJECTED,
     RESAMPLES,
 )
@@ -266,9 +266,9 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         single = Projected(plain, projection.alone(base.theta), np.zeros(0))
         return Ladder(models, (Rung(single, single.missed, 0.0),))
     starts = [projection.alone(start) for start in (reference.theta, base.theta)]
-    begun = min((projection.project(plain, start, coarse=True) for start in starts),
+    first = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
-    lowest = projection.project(plain, begun.theta)
+    lowest = projection.project(plain, first.theta)
     rungs = [Rung(lowest, projection.disagreement(lowest), 0.0)]
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
@@ -303,13 +303,13 @@ def _added(model: Projected) -> Effect:
     return model.structure.parts[-1].effect
 
 
-def _believed(model: Projected) -> bool:
+def _within_prior(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
     effect, values = _added(model), model.theta[model.structure.slices()[-1]]
     sizes = np.array([spec.spread or np.inf for spec in effect.parameters])
     precision = np.diag(effect.precision(model.structure.parts[-1].settings, sizes))
     away = values - [spec.centre for spec in effect.parameters]
-    return effect.kind != 'named' or bool(np.all(precision * away**2 <= BELIEVED**2))
+    return effect.kind != 'named' or bool(np.all(precision * away**2 <= PRIOR_SIGMAS**2))
 
 
 class _Climb:
@@ -332,19 +332,19 @@ class _Climb:
         finer: what the reference has, no more causes.
         """
         promising = self.promising(model, () if finer else self.parts)
-        tried: list[Projected] = []
+        trials: list[Projected] = []
         for kinds in (('named',), ('shape', 'mode', 'event')):
-            tried += filter(_believed, side_by_side([
+            trials += filter(_within_prior, side_by_side([
                 partial(self.extended, model, part, values)
                 for part, values in promising if part.effect.kind in kinds]))
-            best = min(tried, key=lambda trial: trial.total, default=None)
+            best = min(trials, key=lambda trial: trial.total, default=None)
             if best is not None and \
                     best.total <= (1.0 - 0.01 * EXPLAINS) * self.whole < model.total:
                 break
         if best is None:
             return None
         needed = NAMED_FIRST * (model.total - best.total)
-        named = [trial for trial in tried if _added(trial).kind == 'named'
+        named = [trial for trial in trials if _added(trial).kind == 'named'
                  and model.total - trial.total >= needed > 0.0]
         first = max(named, default=best, key=lambda trial: (
             self.scores.get(frozenset(trial.structure.labels), -np.inf), -trial.total))
@@ -461,12 +461,12 @@ def resampled(
     what is explained.
     """
     block = problem.blocks(BLOCK_S)
-    kept = search.all[:MOST_STRUCTURES]
+    entries = search.all[:MOST_STRUCTURES]
     logs = np.array([
         np.bincount(block, fit.tail.log_density(fit.prediction.innovation[problem.rows]))
-        for fit in (scored.fit for scored in kept)
+        for fit in (scored.fit for scored in entries)
     ])
-    prior = np.array([scored.score for scored in kept]) - logs.sum(axis=1)
+    prior = np.array([scored.score for scored in entries]) - logs.sum(axis=1)
     blocks = int(block.max()) + 1
     weights = np.random.default_rng(0).exponential(size=(RESAMPLES, blocks))
     weights *= blocks / weights.sum(axis=1, keepdims=True)
@@ -479,7 +479,7 @@ def resampled(
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     counts: Counter[str] = Counter()
     for index, count in Counter(leading.tolist()).most_common():
-        reference = kept[index].fit
+        reference = entries[index].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
         missed = np.array([rung.missed for rung in rungs] if reference is search.best

@@ -95,8 +95,8 @@ class Projection:
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
         states = np.column_stack([prediction.states, np.zeros(len(prediction.states))])
         labels = [part.effect.label for part in structure.parts if part.effect.wanders]
-        kept = [end + wandering.index(label) if label in wandering else -1 for label in labels]
-        return replace(prediction, states=states[:, [*range(end), *kept]])
+        columns = [end + wandering.index(label) if label in wandering else -1 for label in labels]
+        return replace(prediction, states=states[:, [*range(end), *columns]])
 
     def alone(self, theta: FloatArray) -> FloatArray:
         """(p,) the base's coordinates of a fit, with the reference's noise."""
@@ -218,7 +218,7 @@ class Projection:
         """
         out = self._differences(structure, theta, self.run(structure, theta),
                                 self.steps(structure, theta))
-        out[:, self.problem.held_terms] = 0.0
+        out[:, self.problem.zero_terms] = 0.0
         return out
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:

@@ -138,8 +138,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.shard:
         every = shard_of(every, options.shard)
     if options.merge:
-        kept = known(every)
-        rows = [kept[job.name] for job in every if job.name in kept]
+        stored = known(every)
+        rows = [stored[job.name] for job in every if job.name in stored]
     else:
         rows = run(every, options.workers, options.cluster, sample=options.plan,
                    show=arguments.progress(quiet=options.quiet),
@@ -165,7 +165,7 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
+def _log(out: Place, name: str, options: argparse.Namespace, echo: bool
          ) -> Callable[[str], None]:
     """What appends lines to the log: among the results, or here where these are on a store."""
     path = make_folder(out.path) / LOG if out.store is None else Path(f'{name}_{LOG}')
@@ -175,7 +175,7 @@ def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
         stamp = datetime.now(timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
         with path.open('a', encoding='utf-8') as stream:
             stream.write(escaped(f'{stamp} {part}{line}\n'))
-        if shown and not line.startswith('bag ') and not (options.quiet or options.json):
+        if echo and not line.startswith('bag ') and not (options.quiet or options.json):
             print(line)
 
     return log

@@ -54,10 +54,10 @@ def shard_of(every: Sequence[Job], shard: str) -> list[Job]:
 def known(every: Sequence[Job]) -> dict[str, Row]:
     """The rows among the results that can be read, by the names of their bags."""
     rows = {}
-    kept = Place(every[0].out).read([job.row for job in every]) if every and every[0].out else {}
+    stored = Place(every[0].out).read([job.row for job in every]) if every and every[0].out else {}
     for job in every:
         try:
-            row = json.loads(kept[job.row])
+            row = json.loads(stored[job.row])
         except (KeyError, ValueError, RecursionError):
             continue
         if isinstance(row, dict) and 'status' in row:
@@ -116,14 +116,14 @@ def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
     """Words on the cost of `count` bags, by `rows` that were finished within elapsed_s."""
     if not (able := [row for row in rows if row['status'] != FAILED]):
         return 'no bag could be read, so what they cost is not known'
-    cpu, size, kept = (sum(row.get(name, 0) for row in able) / len(able)
-                       for name in ('cpu_s', 'bytes', 'kept_bytes'))
+    cpu, size, stored = (sum(row.get(name, 0) for row in able) / len(able)
+                         for name in ('cpu_s', 'bytes', 'kept_bytes'))
     left = max(0, count - len(rows))
     peak = max(row.get('peak_mb', 0.0) for row in able)
     return (f'{len(able)} bags took {cpu:.2g} s of CPU each, at most {peak:.0f} MB of memory, '
-            f'{size / 1e6:.2g} MB to read, {kept / 1e6:.2g} MB of results; the other {left}: '
+            f'{size / 1e6:.2g} MB to read, {stored / 1e6:.2g} MB of results; the other {left}: '
             f'{duration(cpu * left)} of CPU, {duration(elapsed_s / len(rows) * left)} at this '
-            f'pace, {size * left / 1e9:.2g} GB to read, {kept * left / 1e9:.2g} GB of results')
+            f'pace, {size * left / 1e9:.2g} GB to read, {stored * left / 1e9:.2g} GB of results')
 
 
 def duration(seconds: float) -> str:
@@ -234,8 +234,8 @@ def about_here(job: Job, check: str) -> dict[str, str]:
         with suppress(PackageNotFoundError):
             about[name] = version(name)
     if job.out:
-        seen = not check or check in Place(job.out).read([check])
-        about['view of the results'] = job.out if seen else 'another folder'
+        is_same = not check or check in Place(job.out).read([check])
+        about['view of the results'] = job.out if is_same else 'another folder'
     if job.files:
         try:
             Place(job.folder).ends(*job.files[0])

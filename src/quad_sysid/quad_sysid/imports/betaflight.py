@@ -142,10 +142,10 @@ def _loop_s(header: Mapping[str, str]) -> float | None:
 def _utc_s(header: Mapping[str, str], first_s: float) -> float | None:
     """Time 0 in UTC, s, by the header's start at `first_s`; None where the board had no clock."""
     try:
-        begun = datetime.fromisoformat(header.get('Log start datetime', ''))
-        if begun.tzinfo is None:
-            begun = begun.replace(tzinfo=timezone.utc)
-        return begun.timestamp() - first_s
+        start = datetime.fromisoformat(header.get('Log start datetime', ''))
+        if start.tzinfo is None:
+            start = start.replace(tzinfo=timezone.utc)
+        return start.timestamp() - first_s
     except (ValueError, OverflowError, OSError):
         return None
 
@@ -212,10 +212,10 @@ def _shaped(times: FloatArray, angle: FloatArray, fields: Mapping[str, str]) -> 
     """
     dt = float(np.median(np.diff(times)))
     near = max(round(SMOOTH_S / dt), 1)
-    turned = np.unwrap(angle)
-    rows = np.arange(turned.size)
-    ahead, behind = np.minimum(rows + near, turned.size - 1), np.maximum(rows - near, 0)
-    hertz = (turned[ahead] - turned[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
+    unwrapped = np.unwrap(angle)
+    rows = np.arange(unwrapped.size)
+    ahead, behind = np.minimum(rows + near, unwrapped.size - 1), np.maximum(rows - near, 0)
+    hertz = (unwrapped[ahead] - unwrapped[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
     hertz = np.maximum.accumulate(np.abs(hertz))  # it rises, also where the log is too slow for it
     wave = np.cos(angle) * np.minimum(hertz / CHIRP_HZ, 1.0)
     lag, lead = (number(fields, f'chirp_{name}_freq_hz') for name in ('lag', 'lead'))
@@ -239,10 +239,10 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
     """The channels of a log besides the motors, by its header's units and scales."""
     columns, gyro = table.columns, units.get('gyroADC[0]', '')
     # whether the sensors' z axis points down, by the specific force in flight
-    turned = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
-    frame = MIRROR if turned else np.ones(3)
+    is_frd = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
+    frame = MIRROR if is_frd else np.ones(3)
     scale = _rate_unit(table, gyro)
-    how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
+    how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if is_frd else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
         too_high = float(np.median(values)) > PLAUSIBLE_PACK_V[1]

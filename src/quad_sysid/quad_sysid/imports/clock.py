@@ -345,7 +345,7 @@ def drawn_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:
     return draw(stream, times, MAX_PAUSE / stream.rate_hz)
 
 
-def held_on(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
+def hold_if_any(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
     """`hold` for a stream that may be absent; None without one."""
     return None if stream is None else hold(stream, times, dt)
 

@@ -63,7 +63,7 @@ class Log:
     """As they were at the end."""
     changed: list[Change] = field(default_factory=list)
     """Parameters that were set again, to another value."""
-    begun: dict[str, float] = field(default_factory=dict)
+    initial: dict[str, float] = field(default_factory=dict)
     """As those that changed were before."""
     skipped: int = 0
     """Bytes in which no whole message stands."""
@@ -76,7 +76,7 @@ class Log:
         """Take a parameter's value; each begins with what is logged first."""
         before = self.parameters.get(name, value)
         if before != value:
-            self.begun.setdefault(name, before)
+            self.initial.setdefault(name, before)
             self.changed.append(Change(time_s, name, value))
         self.parameters[name] = value
 
@@ -184,9 +184,9 @@ def _whole(
     end = offsets + lengths[data[offsets + 2]]
     inside = end <= len(data)
     offsets, end = offsets[inside], end[inside]
-    followed = np.isin(end, offsets, assume_unique=False) | (end == len(data))
+    is_whole = np.isin(end, offsets, assume_unique=False) | (end == len(data))
     accepted: list[NDArray[np.int64]] = []
-    runs = np.flatnonzero(np.diff(followed.astype(np.int8), prepend=0, append=0))
+    runs = np.flatnonzero(np.diff(is_whole.astype(np.int8), prepend=0, append=0))
     behind = 0
     for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
         starts = offsets[a:b]
@@ -196,7 +196,7 @@ def _whole(
             accepted.append(starts)
             behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
     accepted_starts = np.concatenate(accepted) if accepted else np.zeros(0, dtype=np.int64)
-    more = [i for i in np.flatnonzero(~followed)
+    more = [i for i in np.flatnonzero(~is_whole)
             if _plausible(data, int(offsets[i]), offsets, accepted_starts, kinds)]
     accepted_starts = np.sort(np.concatenate([accepted_starts, offsets[more]]).astype(np.int64))
     numbers = data[accepted_starts + 2]

@@ -182,11 +182,11 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
 
     None where there is too little motion.
     """
-    turned, changed = _over_windows(rate, angle, dt)
-    if len(turned) < MIN_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
+    integrals, changed = _over_windows(rate, angle, dt)
+    if len(integrals) < MIN_WINDOWS or not (np.ptp(integrals) and np.ptp(changed)):
         return None
-    together = float(np.corrcoef(turned, changed)[0, 1])
-    return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
+    together = float(np.corrcoef(integrals, changed)[0, 1])
+    return together, math.copysign(float(np.std(changed) / np.std(integrals)), together)
 
 
 def z_points_down(force: FloatArray) -> bool | None:
@@ -220,8 +220,8 @@ def check_reference(reference: Column, angle: Column) -> None:
         _refuse(reference, angle, factor)
 
 
-def _near(factor: float, *wanted: float) -> bool:
-    return any(abs(math.log(abs(factor) / value)) < NEAR for value in wanted)
+def _near(factor: float, *targets: float) -> bool:
+    return any(abs(math.log(abs(factor) / value)) < NEAR for value in targets)
 
 
 def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -232,13 +232,13 @@ def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[Float
     width = max(2, round(WINDOW_S / dt))
     starts = np.arange(0, len(rate) - width, width)
     steps = np.abs(np.diff(angle))
-    turned = np.array([
+    integrals = np.array([
         dt * (np.sum(rate[i : i + width + 1]) - 0.5 * (rate[i] + rate[i + width])) for i in starts
     ])
     changed = angle[starts + width] - angle[starts]
     jumps = np.array([np.max(steps[i : i + width], initial=0.0) for i in starts])
-    is_finite = np.isfinite(turned) & np.isfinite(changed) & (jumps < 3.0)
-    return turned[is_finite], changed[is_finite]
+    is_finite = np.isfinite(integrals) & np.isfinite(changed) & (jumps < 3.0)
+    return integrals[is_finite], changed[is_finite]
 
 
 def _refuse(first: Column, angle: Column, factor: float) -> None:

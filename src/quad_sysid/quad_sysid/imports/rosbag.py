@@ -171,15 +171,15 @@ def read_messages(
     return columns, times
 
 
-def of_one_aircraft(path: Path, pattern: re.Pattern[str], wanted: Collection[str],
+def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str],
                     messages: Path | None) -> tuple[Columns, Columns, tuple[str, ...]]:
-    """The wanted topics of the aircraft that has most of them, by its own names; what is left out.
+    """Topics `names` of the aircraft that has most of them, by its own names; what is left out.
 
     `pattern` finds in a topic its `place`, whose it is, and its name as `topic`, and may find a
     `way`: what an autopilot says (`out`) counts before what it hears (`in`).
     """
     topics = [topic for topic in topics_of(path)
-              if (match := pattern.match(f'{topic}.')) and match['topic'] in wanted]
+              if (match := pattern.match(f'{topic}.')) and match['topic'] in names]
     columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     matches = [match for name in columns if (match := pattern.match(name))]
     places = [match['place'] for match in matches]

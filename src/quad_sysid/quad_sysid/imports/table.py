@@ -323,10 +323,10 @@ def _readable(file: Path) -> Iterator[None]:
 
 
 def read_csv(
-    lines: Iterable[str], source: str, wanted: Sequence[str] | None = None, first: int = 1
+    lines: Iterable[str], source: str, names: Sequence[str] | None = None, first: int = 1
 ) -> Table:
     """The table of a text, see delimited.py."""
-    read = read_text_table(lines, source, wanted, first)
+    read = read_text_table(lines, source, names, first)
     return Table(source, read.columns, lines=read.lines, notes=read.notes, aliases=read.aliases)
 
 

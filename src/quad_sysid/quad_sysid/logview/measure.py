@@ -324,8 +324,8 @@ def _motors(flown: Flown) -> tuple[MotorLook, ...]:
     for k, value in enumerate(mean):
         speed = None
         if flown.speeds is not None:
-            turned = flown.speeds[flown.flying, k]
-            speed = float(np.nanmean(turned)) if np.isfinite(turned).any() else None
+            own = flown.speeds[flown.flying, k]
+            speed = float(np.nanmean(own)) if np.isfinite(own).any() else None
         out.append(MotorLook(
             f'motor_{k + 1}', float(value),
             100.0 * float(value / mean.mean() - 1.0) if mean.mean() > 0.0 else 0.0,

@@ -32,12 +32,12 @@ SETTLE_S = 1.0
 window begins so long behind the start of a segment or a gap that ends one."""
 BRIDGED_S = 0.1
 """The filter runs on over shorter gaps, without the rate and with commands interpolated."""
-CAUGHT_UP_S = 0.2
+MOTORS_SETTLE_S = 0.2
 """Time behind a gap inside a segment until what the interpolated commands did to the motors has
 faded: four lags of slow ones."""
 LOST_S = 0.02
 """Longest time without a command that turns an aircraft by little: half of a motor's lag."""
-UNKNOWN_S = 0.75 * CAUGHT_UP_S
+UNKNOWN_S = 0.75 * MOTORS_SETTLE_S
 """Time behind it in which the motors may do what nobody knows; the filter settles in the rest."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
@@ -151,7 +151,8 @@ class AxisData:
         less than half of those of the contract's length: in a log that loses samples throughout,
         short gaps are none.
         """
-        settle, caught_up = (round(seconds / self.dt) for seconds in (SETTLE_S, CAUGHT_UP_S))
+        settle, motors_settle = (round(seconds / self.dt)
+                                 for seconds in (SETTLE_S, MOTORS_SETTLE_S))
 
         def inside(runs: Sequence[Span], length: int) -> list[int]:
             return [k for a, b in runs for k in range(a, b - length + 1, length)]
@@ -163,7 +164,7 @@ class AxisData:
         runs = [(a + settle, b) for a, b in whole]
         known = np.isfinite(self.rate) if self.lost is None else ~self.lost
         for parts in () if known.all() else (whole, spans):
-            intact = [(max(a + caught_up, start + settle), b) for start, stop in parts
+            intact = [(max(a + motors_settle, start + settle), b) for start, stop in parts
                       for a, b in finite_runs(known, (start, stop))]
             if 2 * len(inside(intact, usual)) >= len(inside(runs, usual)):
                 runs = intact
@@ -176,9 +177,9 @@ class AxisData:
             return errors
         out, rows = errors.copy(), np.arange(windows.length)
         for i in np.flatnonzero(known.any(axis=1) & ~known.all(axis=1)):
-            seen = rows[known[i]]
+            measured = rows[known[i]]
             for window in out.reshape(-1, *known.shape)[:, i]:
-                window[:] = np.interp(rows, seen, window[seen])
+                window[:] = np.interp(rows, measured, window[measured])
         return out
 
     @property
@@ -396,7 +397,7 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     missing, external = np.full(n, np.nan), record.external(axis)
     # rows from one known sample to the next, whatever rounding makes of a whole number of them
     apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
-    beside = [_seen(record, name) for name in entry.others]
+    beside = [_rate_and_angle(record, name) for name in entry.others]
     return {
         'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
         'lost': ~is_finite, 'uncommanded': ~np.isfinite(control[:, entry.index + 1]),
@@ -410,7 +411,7 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     }
 
 
-def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
+def _rate_and_angle(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     """(n,) rate and position of another axis; NaN where the record does not hold them."""
     missing = np.full(record.n, np.nan)
     try:
@@ -427,16 +428,16 @@ def where_commands_were_lost(data: AxisData, is_measured: NDArray[np.bool_],
     None if that were more than half: in a log that loses samples throughout. None where only the
     angle was measured, which says little of the rate in one cycle.
     """
-    caught, inside = np.zeros((2, is_measured.size), dtype=bool)
+    follows_gyro, inside = np.zeros((2, is_measured.size), dtype=bool)
     if data.uncommanded is None or data.derived_s is not None:
-        return caught
+        return follows_gyro
     for start, stop in passes:
         inside[start:stop] = is_measured[start:stop]
         for begin, end in finite_runs(data.uncommanded, (start, stop)):
             if end - begin > max(2, round(LOST_S / data.dt)):
-                caught[begin : end + round(UNKNOWN_S / data.dt)] = True
-    caught &= inside
-    return caught if 2 * caught.sum() <= inside.sum() else np.zeros_like(caught)
+                follows_gyro[begin : end + round(UNKNOWN_S / data.dt)] = True
+    follows_gyro &= inside
+    return follows_gyro if 2 * follows_gyro.sum() <= inside.sum() else np.zeros_like(follows_gyro)
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:

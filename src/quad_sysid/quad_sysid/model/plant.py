@@ -60,15 +60,15 @@ def drive_of(
 
     remembered: the hidden states of the effect of this number, which sees these signals.
     """
-    signals_seen = []
+    inputs = []
     for i, (part, p) in enumerate(command_effects):
         s = s.replaced(hidden=remembered(i, s))
-        signals_seen.append(s)
+        inputs.append(s)
         s = s.replaced(sent=part.effect.command(s, p, part.settings))
     sent = required(s.sent)
     drive = Drive(sent[None], np.ones(1), np.full((1, *sent.shape), s.lag))
     drive = drive.behind(np.full(sent.shape, s.delay / s.dt))
-    for (part, p), signals in zip(command_effects, signals_seen, strict=True):
+    for (part, p), signals in zip(command_effects, inputs, strict=True):
         drive = part.effect.actuate(drive, signals, p, part.settings)
     return drive
 
@@ -215,17 +215,17 @@ class Plant:
 
         s: as of `with_own`.
         """
-        signals_seen: list[Signals] = []
+        inputs: list[Signals] = []
 
         def remembered(i: int, signals: Signals) -> FloatArray | None:
-            signals_seen.append(signals)
+            inputs.append(signals)
             return hidden[i]
 
         drive = drive_of(self.command_effects, s, remembered)
         return drive, tuple(
             None if states is None else part.effect.advance(states, signals, p, part.settings)
             for states, signals, (part, p)
-            in zip(hidden, signals_seen, self.command_effects, strict=True)
+            in zip(hidden, inputs, self.command_effects, strict=True)
         )
 
     def turn(

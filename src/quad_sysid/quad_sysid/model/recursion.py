@@ -211,9 +211,9 @@ def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
 
 @kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, FLAGS, WHOLE, WHOLE, TABLE,
         TABLE, WHOLES, TABLE, TABLE, BLOCK, BLOCKS, WHOLES, LINE, TABLE, LINE, TABLE)
-def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start, stop, columns,
-            bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states, innovation,
-            jacobian):
+def predict(y, begin, known, slope, gain, move, gyro, behind, dt, follows_gyro, start, stop,
+            columns, bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states,
+            innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
@@ -224,7 +224,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
     v,): what is left of the disturbance after a cycle, its mean over the cycle, and the turn of
     each line (cosine and sine times what is left of it); filters (m, 6 + 4 v) the derivatives of
     both; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured where
-    `behind`. In cycles that are `caught` (n,) rate and sensor are as measured, and nothing else is
+    `behind`. In cycles of `follows_gyro` (n,) rate and sensor are as measured, and nothing else is
     learnt. wander (n, w): acceleration per unit of each wandering term; pursuit (n, w, 2): what an
     innovation adds to it, and what is left of it after the cycle, by_pursuit (n, w, 2, 2) their
     derivatives by its two parameters, whose columns begin at place (w,). rate (n,) receives the
@@ -274,7 +274,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
             e = 0.0
             for j in range(m):
                 z[j] = 0.0
-        if caught[k]:
+        if follows_gyro[k]:
             r, g, e, innovation[k] = r + e, g + e, 0.0, np.nan
             for j in range(m):
                 s0[j] += z[j]

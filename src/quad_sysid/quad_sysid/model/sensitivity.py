@@ -64,11 +64,11 @@ class Sensitivity:
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
         k = first
         for x in self.hidden:
-            for i, kept in enumerate(x.copy()):
-                step = SMALL * float(np.sqrt(np.mean(kept**2))) or 1e-9
-                x[i] = kept + step
+            for i, value in enumerate(x.copy()):
+                step = SMALL * float(np.sqrt(np.mean(value**2))) or 1e-9
+                x[i] = value + step
                 by_state[:, k], onward[:, first:, k] = slopes(s, step)
-                x[i] = kept
+                x[i] = value
                 k += 1
         columns, bends = np.empty((n, count)), np.zeros((n, count))
         forward, initial = np.zeros((n, size, count)), np.zeros((self.windows.count, size, count))
@@ -108,8 +108,8 @@ class Sensitivity:
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
         (halves, s), hidden, acting, following = passed, iter(self.hidden), [], []
-        for (part, where), kept in zip(self.torque_effects, self.run.hidden, strict=True):
-            states = None if kept is None else next(hidden)
+        for (part, where), start in zip(self.torque_effects, self.run.hidden, strict=True):
+            states = None if start is None else next(hidden)
             acting.append((part, p[where], s if states is None else s.replaced(hidden=states)))
             if states is not None:
                 following.append(part.effect.advance(states, s, p[where], part.settings))

@@ -38,7 +38,7 @@ from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
 from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
 from quad_sysid.record import IOData, Record
-from quad_sysid.units import Units, shown_in
+from quad_sysid.units import Units, unit_and_factor
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
              f'comes again in {again:.0%} of resampled flights only')
     if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
         noise = noise_of(verdict.base)
-        unit, factor = shown_in(units, 'rad/s²')
+        unit, factor = unit_and_factor(units, 'rad/s²')
         reason += (
             f"; the base's error is {verdict.before / verdict.noise_floor:.0f} times the noise of "
             f'the rate and is taken for gusts, {factor * noise.disturbance_rms:.2g} {unit} that '
@@ -314,7 +314,7 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.held_terms:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.zero_terms:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'

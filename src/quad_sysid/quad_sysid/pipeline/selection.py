@@ -33,7 +33,7 @@ from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.advice import advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import Support
-from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, tried
+from quad_sysid.pipeline.blackbox_part import NOISE_ORDER, ORDERS, Fits, successful_fits
 from quad_sysid.record import IOData
 
 KNOWN_CONTROLLER_PCT = 70.0
@@ -121,13 +121,13 @@ def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
     start = next((m for m in fits.models if m.structure == 'BJ'), None)
     names = {approach.name for approach in possible if approach.possible}
     if 'joint' in names:
-        models += tried(
+        models += successful_fits(
             reasons, lambda: joint(z, lambda data: bj(data, n, NOISE_ORDER, NOISE_ORDER, n, nk))
         )
     if controller is not None and 'indirect' in names:
-        fitted = tried(reasons, lambda: indirect(z, n, n, nk, controller, start=start))
+        fitted = successful_fits(reasons, lambda: indirect(z, n, n, nk, controller, start=start))
         if n > ORDERS[0] and not any(model.converged for model in fitted):
-            fitted = tried(
+            fitted = successful_fits(
                 reasons, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, controller)) or fitted
         models += fitted
     return models, tuple(reasons)

@@ -134,7 +134,7 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
         return f'{record.source}: no /setpoint/attitude'
     if f'{axis}.rate.kp' not in values:
         return f'{record.source}: /gains/active does not say the gains of {axis}'
-    reference = _held(record.attitude_setpoint[:, index])
+    reference = _without_gaps(record.attitude_setpoint[:, index])
     if reference is None:
         return f'{record.source}: /setpoint/attitude is not finite'
     angle = None if record.angles is None else record.angles[:, index]
@@ -154,7 +154,7 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
                              if np.isfinite(a)), float(reference[0])))
 
 
-def _held(reference: FloatArray) -> FloatArray | None:
+def _without_gaps(reference: FloatArray) -> FloatArray | None:
     """The set-point with lost cycles held, as the firmware holds it; None where all are lost."""
     is_finite = np.isfinite(reference)
     if not is_finite.any():

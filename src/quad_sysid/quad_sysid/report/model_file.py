@@ -133,9 +133,9 @@ def pick(models: Mapping[str, AxisModel], axes: str | None,
     """
     if axes is None:
         return dict(models)
-    wanted, named = axes_in(axes), axes.split(',')
-    chosen = {axis: models[axis] for axis in wanted if axis in models}
-    lacking = [axis for axis in wanted if axis not in models and (axis in named or not chosen)]
+    requested, named = axes_in(axes), axes.split(',')
+    chosen = {axis: models[axis] for axis in requested if axis in models}
+    lacking = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
     if lacking:
         raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(lacking),
                             f'it holds {", ".join(models)}')

@@ -335,7 +335,7 @@ class _Flights:
 
     def __init__(self, aircraft: Aircraft, first: Rival, second: Rival) -> None:
         self.aircraft, self.rivals = aircraft, (first, second)
-        self.seen: dict[int, tuple[JudgedFlight, JudgedFlight]] = {}
+        self.judged_pairs: dict[int, tuple[JudgedFlight, JudgedFlight]] = {}
 
     def rows(self, excitations: Sequence[Excitation],
              progress: Progress = lambda _: None) -> list[Row | None]:
@@ -357,10 +357,10 @@ class _Flights:
         peak = max(flight.peak_angle for flight in pair)
         if not peak <= ANGLE_SHARE * Limits().angle_rad:
             return None
-        seen = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
-        if not (seen[0].identified and seen[1].identified):
+        pair_judged = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
+        if not (pair_judged[0].identified and pair_judged[1].identified):
             return None
-        self.seen[id(excitation)] = seen
+        self.judged_pairs[id(excitation)] = pair_judged
         row = Row(excitation, None, None, peak, max(flight.rate_rms for flight in pair))
         return self._weighed(row, JudgedFlight.linear)
 
@@ -370,15 +370,15 @@ class _Flights:
 
     def _weighed(self, row: Row, evidence: Callable[[JudgedFlight, Sequence[Part]], float]) -> Row:
         ways: list[Apart | None] = []
-        for seen, true, other in zip(self.seen[id(row.excitation)], self.rivals, self.rivals[::-1],
-                                     strict=True):
-            data = seen.problem.data
+        for flight, true, other in zip(self.judged_pairs[id(row.excitation)], self.rivals,
+                                       self.rivals[::-1], strict=True):
+            data = flight.problem.data
             if true.acting is None:
                 ways.append(None)
                 continue
-            nats = evidence(seen, [true.acting.part])
-            other_nats = evidence(seen, other.parts(data))
-            seconds = sum(b - a for a, b in seen.problem.spans) * data.dt
+            nats = evidence(flight, [true.acting.part])
+            other_nats = evidence(flight, other.parts(data))
+            seconds = sum(b - a for a, b in flight.problem.spans) * data.dt
             share = 1.0 if nats <= 0.0 else min(max(other_nats / nats, 0.0), 1.0)
             ways.append(Apart(nats - other_nats, share, seconds))
         return replace(row, first=ways[0], second=ways[1])

@@ -151,9 +151,9 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
         raise BadInputError('--seconds', f'must lie in {shortest:.3g} s (a period of HIGH, and '
                             f'the ramps) to {MAX_DURATION_S:g} s', train_s)
     clocks = 1.0 / (low_rad_s * samples / sample_rate_hz)
-    wanted = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
+    needed = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
         math.ceil(math.log2(2.0 * math.pi * clocks + 1.0))
-    bits = min(max(wanted, min(TAPS)), max(TAPS))
+    bits = min(max(needed, min(TAPS)), max(TAPS))
     period_s = (2**bits - 1) * samples / sample_rate_hz
     middle = math.sqrt(low_rad_s * high_rad_s)
     return Design(low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,

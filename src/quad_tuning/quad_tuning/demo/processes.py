@@ -63,9 +63,9 @@ def own_domain() -> Iterator[int]:
     raise OSError('no free ROS domain id between 1 and 100 on this machine')
 
 
-def _in_use(domain: int, offset: int, held: contextlib.ExitStack, host: str = '') -> bool:
-    """Whether somebody has this port of a domain; else `held` keeps it."""
-    port = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+def _in_use(domain: int, offset: int, sockets: contextlib.ExitStack, host: str = '') -> bool:
+    """Whether somebody has this port of a domain; else `sockets` keeps it."""
+    port = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     try:
         port.bind((host, PORT_BASE + PORT_GAIN * domain + offset))
     except OSError:

@@ -132,7 +132,7 @@ class McapScan:
                     self.unread += len(body)
         self.lost = self._count_lost()
 
-    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
+    def batches(self, select: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
         """Data of the wanted topics' messages, by topic, in batches."""
         unpack, begin_of = struct.Struct('<BQH').unpack_from, RECORD.size + MESSAGE_HEAD.size
         batch: dict[str, list[bytes]] = {}
@@ -150,7 +150,7 @@ class McapScan:
                         sinks[channel].append(content[begin + begin_of : position])
                         continue
                     topic = self._named(channel)
-                    if topic is not None and wanted(topic):
+                    if topic is not None and select(topic):
                         sinks[channel] = batch.setdefault(topic.name, [])
                         sinks[channel].append(content[begin + begin_of : position])
                     else:
@@ -211,14 +211,14 @@ class McapScan:
         """End of the record here, None where there is no intact one, and what it adds."""
         data, opcode = self.data, self.data[position]
         end = end_of(data, position, stop)
-        followed = end is not None and (
+        is_whole = end is not None and (
             end == stop or data[end] == CHUNK or end_of(data, end, stop) is not None
         )
         if opcode == CHUNK:
-            content = None if end is None else _content(data, position, end, unchecked=followed)
+            content = None if end is None else _content(data, position, end, unchecked=is_whole)
             self.bad_chunks += content is None
             return (None, b'') if content is None else (end, content)
-        if end is None or not followed or (opcode == MESSAGE and not self._plain):
+        if end is None or not is_whole or (opcode == MESSAGE and not self._plain):
             return None, b''
         self.ended = self.ended or opcode in {DATA_END, FOOTER}
         self.unread += (opcode >= PRIVATE) * (end - position)  # it may have been a chunk
