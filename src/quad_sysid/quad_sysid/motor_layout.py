@@ -347,8 +347,8 @@ def _sums(
     products: list[tuple[FloatArray, ...]] = []
     for lag in LAGS_S:
         keep = float(np.exp(-dt / lag)) if lag else 0.0
-        lagged = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
-        total = np.concatenate([np.zeros((1, k)), np.cumsum(lagged, axis=0)])
+        filtered = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
+        total = np.concatenate([np.zeros((1, k)), np.cumsum(filtered, axis=0)])
         mean = (total[step:] - total[:-step]) / step
         for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
             shifted = np.zeros((n, k))

@@ -264,8 +264,8 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
         names, length, strict=True) if size < noise]
     moving = [i for i, size in enumerate(length) if size >= noise]
     if len(moving) > 1:
-        _, values, ways = np.linalg.svd(columns[:, moving] / length[moving], full_matrices=False)
-        for value, way in zip(values, ways, strict=True):
+        _, values, basis = np.linalg.svd(columns[:, moving] / length[moving], full_matrices=False)
+        for value, way in zip(values, basis, strict=True):
             if value < COLLINEAR * values[0]:
                 first, *rest = (names[moving[i]] for i in np.argsort(-np.abs(way))
                                 if abs(way[i]) > PARTNER_SHARE)

@@ -60,7 +60,7 @@ GRID = (9, 14, 3, 7, 3)
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
 """Range in the cube; not from 0, where the powers are flat and a search would stay."""
 FILTER_HZ = (30.0, 55.0, 100.0)
-JUDGED = 120
+SHORTLIST = 120
 """Number of grid points that are judged by the whole objective."""
 STARTS = 5
 """Searches from the best grid points that are at least MIN_DISTANCE apart in SHAPE (angle kp, rate
@@ -193,7 +193,7 @@ def search(problem: Problem) -> list[tuple[float, FloatArray]]:
     """
     grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
-    best = grid[_ranked(problem, loops, grid)[:JUDGED]]
+    best = grid[_ranked(problem, loops, grid)[:SHORTLIST]]
     best = best[np.argsort(_merits(problem, loops, best), kind='stable')]
     starts = _distinct(best)
     ends = side_by_side([partial(_polish, problem, start) for start in starts[:2]])

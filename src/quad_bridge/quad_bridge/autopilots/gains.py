@@ -26,7 +26,7 @@ AT_ONCE = 8  # names that are asked for at the same time
 STALE_S = 1.0
 """So long after a write an answer may still bear the value of before: ArduPilot answers questions
 in a queue of its own, later than writes."""
-STUBBORN_S = 1.0  # between two tries to write a good value back, once the first have failed
+RETRY_S = 1.0  # between two tries to write a good value back, once the first have failed
 
 
 class State(Enum):
@@ -196,8 +196,8 @@ class ParameterGains:
         if not self._queue:
             return None
         self._tries += 1
-        stubborn = self.state is State.REVERTING and self._tries > TRIES
-        self._due_s = now_s + (STUBBORN_S if stubborn else REPEAT_S)
+        retries = self.state is State.REVERTING and self._tries > TRIES
+        self._due_s = now_s + (RETRY_S if retries else REPEAT_S)
         name, value = next(iter(self._queue.items()))
         kind = self._kinds.get(name, f.REAL32)
         return f.ParamSet(name, encoded(value, kind, bytewise=self._bytewise), kind=kind)

@@ -63,11 +63,11 @@ def sid_parameters(
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
     steady_s = 2.0 / fields['f0_hz']
-    beside_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
-    record_s = fields['sweep_s'] - beside_s  # so that it has ended when the segment ends
+    extra_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
+    record_s = fields['sweep_s'] - extra_s  # so that it has ended when the segment ends
     least_s = max(LEAST_S, 1.05 * steady_s)  # it refuses a sweep as short as its steady start
     if record_s < least_s:
-        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
+        raise ValueError(f'the segment is too short for SYSTEM ID: {extra_s:.1f} s go beside the '
                          f'sweep, and {least_s:.3g} s must be left of {fields["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,

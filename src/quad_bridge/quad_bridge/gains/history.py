@@ -31,8 +31,8 @@ CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 def default_folder() -> Path:
     """Folder for lasting files: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
-    home = os.environ.get('ROS_HOME')
-    return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
+    ros_home = os.environ.get('ROS_HOME')
+    return (Path(ros_home) if ros_home else Path.home() / '.ros') / 'quad_suite'
 
 
 class Worker:

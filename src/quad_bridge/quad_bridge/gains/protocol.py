@@ -22,7 +22,7 @@ from quad_bridge.wire import frames as f
 Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
 Keep = Callable[[Mapping[str, object], Callable[[bool], None]], None]
 """Writes a record to the disk, {} for none, and says from any thread whether it is there."""
-TRIES, STUBBORN_TRIES = 4, 41
+TRIES, SAFETY_TRIES = 4, 41
 """Tries of one request; of CONFIRM and REVERT, which last until the STM32 decides itself."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
 """Between two tries; between two while reading; silence that ends a list of parameters."""
@@ -333,8 +333,8 @@ class GainProtocol:
 
     def _go(self, state: State) -> None:
         self.state, self._reported, self._due_s = state, None, -math.inf
-        stubborn = state in {State.CONFIRMING, State.REVERTING}
-        self._tries = STUBBORN_TRIES if stubborn else TRIES
+        is_vital = state in {State.CONFIRMING, State.REVERTING}
+        self._tries = SAFETY_TRIES if is_vital else TRIES
 
     def _read_again(self) -> None:
         self._forget()

@@ -33,7 +33,7 @@ SOUND_RMS_RAD_S = 0.5
 GUSTS_RAD_S = 20.0
 """Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
 most in bench/watch.py), and without a flight before the floor alone is allowed there."""
-DISTANT_DEG, DISTANT_PATIENCE_S = 8.0, 0.04
+MAX_DISTANCE_DEG, DISTANCE_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
@@ -147,7 +147,7 @@ class GainWatch:
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
         self._distance, self._allowed = np.zeros(2), np.zeros(2)
-        self._allowed_before, self._distant_s = np.zeros(2), np.zeros(2)
+        self._allowed_before, self._exceeded_s = np.zeros(2), np.zeros(2)
         self._near = np.zeros(2, bool)  # it has come to its reference, from how it stood
         self._rows = 0
 
@@ -258,7 +258,7 @@ class GainWatch:
         self._peak = np.array([p.peak**2 for p in predictions])
         before = self._before() if self._blocks else self._sound
         self._near[:] = bool(self._blocks)
-        self._distant_s[:] = 0.0
+        self._exceeded_s[:] = 0.0
         self._bound = self._most(ratio * before)
         self._over_s[:] = 0.0
 
@@ -277,8 +277,8 @@ class GainWatch:
         swings = self._climb.alarm()
         if swings is not None:
             return swings
-        if (self._distant_s > DISTANT_PATIENCE_S).any():
-            i = int(np.argmax(self._distant_s))
+        if (self._exceeded_s > DISTANCE_PATIENCE_S).any():
+            i = int(np.argmax(self._exceeded_s))
             measured, limit = np.degrees((self._distance[i], self._limit()[i]))
             return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
         late = self._over_s > self._patience
@@ -326,13 +326,13 @@ class GainWatch:
 
     def _limit(self) -> FloatArray:
         """(2,) rad that roll and pitch may be away from their reference."""
-        return math.radians(DISTANT_DEG) + self._allowed + MARGIN * self._allowed_before
+        return math.radians(MAX_DISTANCE_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        distant = self._distance > self._limit()
-        self._near |= ~distant | (self._rows * self._dt > UPRIGHT_S)
-        distant &= self._near & self._watched[:2]
-        self._distant_s = np.where(distant, self._distant_s + self._dt, 0.0)
+        exceeded = self._distance > self._limit()
+        self._near |= ~exceeded | (self._rows * self._dt > UPRIGHT_S)
+        exceeded &= self._near & self._watched[:2]
+        self._exceeded_s = np.where(exceeded, self._exceeded_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
 

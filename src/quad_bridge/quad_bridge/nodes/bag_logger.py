@@ -189,7 +189,7 @@ class BagLogger(ManagedNode):
             partial(self._receive, topic), qos, raw=True, event_callbacks=lost,
             callback_group=self._aside,
         )  # fmt: skip
-        self.look_seldom(subscription)
+        self.poll_rarely(subscription)
         self._subscribed[topic] = subscription, qos
 
     def _offers(self, topic: str) -> list[Any]:

@@ -120,9 +120,9 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     place = GRAVITY_M_S2 * np.array(list(FORCES.values()))
     # as if held exactly: raw = offset + force_body @ A, A = turn / scale, by least squares
     solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
-    offset, shaped = solved[0], solved[1:]
-    scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
-    rotation = _nearest(shaped * scale)
+    offset, scale_terms = solved[0], solved[1:]
+    scale = 1.0 / np.maximum(np.linalg.norm(scale_terms, axis=0), 1e-6)
+    rotation = _nearest(scale_terms * scale)
     off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > MAX_OFF_G * GRAVITY_M_S2:

@@ -82,7 +82,7 @@ def motor_thrusts(state: FloatArray, plant: Plant, voltage: float, thrusts: Floa
 
 
 @kernel
-def shaped_command(motors: FloatArray, state: FloatArray, plant: Plant, out: FloatArray) -> None:
+def limited_command(motors: FloatArray, state: FloatArray, plant: Plant, out: FloatArray) -> None:
     """Write what the rotors follow (4,): the commands behind play, dead zone and own limits."""
     u = np.empty(4)
     u[0] = 0.25 * (motors[0] + motors[1] + motors[2] + motors[3])
@@ -249,7 +249,7 @@ def physics_step(
     h = plant.step_s
     command, outside = np.empty(4), np.empty(3)
     stages, trial = np.empty((4, RK_STATES)), np.empty(RK_STATES)
-    shaped_command(motors, state, plant, command)
+    limited_command(motors, state, plant, command)
     memory = math.exp(-2.0 * math.pi * plant.noise_bandwidth_hz * h)
     if plant.noise_bandwidth_hz <= 0.0:
         memory = 0.0

@@ -241,8 +241,8 @@ def expected(job: Job) -> float:
     for path in sorted(job.folder.parent.glob(f'*/{JOB_FILE}'))[-MOST_JOBS:]:
         with suppress(OSError, ValueError, TypeError, KeyError):
             tree = json.loads(path.read_text(encoding='utf-8'))
-            alike = tree['state'] == 'done' and tree['arguments'][0] == job.arguments[0]
-            if alike and tree['size'] > 0:
+            is_same_kind = tree['state'] == 'done' and tree['arguments'][0] == job.arguments[0]
+            if is_same_kind and tree['size'] > 0:
                 per_byte.append(tree['seconds'] / tree['size'])
     return statistics.median(per_byte) * job.size if per_byte else 0.0
 

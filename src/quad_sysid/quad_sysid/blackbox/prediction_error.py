@@ -303,8 +303,8 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
 
     first = at(next(starts))
     best = descend(first, at)
-    doubt = not best.model.converged or first.squares > DOUBTFUL * best.squares or _wanders(best)
-    if doubt and best.model.loss > ho.loss_of(best.slope.size):
+    is_poor = not best.model.converged or first.squares > DOUBTFUL * best.squares or _wanders(best)
+    if is_poor and best.model.loss > ho.loss_of(best.slope.size):
         for start in starts:
             best = min(best, descend(at(start), at, best.squares), key=_squares)
     trials = sorted((at(model) for model in reinserted(best.model)),

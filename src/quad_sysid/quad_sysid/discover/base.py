@@ -57,7 +57,7 @@ def best_base(problem: Problem) -> Fit:
     if base is None:
         raise FloatingPointError('no start of the base holds')
     ended = fitted_from(problem, base.structure, base.theta, rate=base.rate)
-    base = _beside(problem, most_probable((base, ended)) or base)
+    base = _neighbouring_delays(problem, most_probable((base, ended)) or base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
@@ -177,7 +177,7 @@ def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Cand
                       for fit, first in zip(ahead, full_tries, strict=True))]
 
 
-def _beside(problem: Problem, base: Fit) -> Fit:
+def _neighbouring_delays(problem: Problem, base: Fit) -> Fit:
     """The base, or a better one whose delay is a cycle shorter or longer.
 
     Commands are held over a cycle, so that there may be a maximum near each whole one.
@@ -254,5 +254,5 @@ def shares(problem: Problem, fitted: Fit, base: Fit, index: int) -> bool:
     flight.disturbances[:, index] = Flight(data, data.stretches).unexplained(other.values)
     structure = replace(fitted.structure, shared=(index,))
     theta = np.insert(fitted.theta, -structure.filtered, 0.0)
-    beside = fitted_from(problem, structure, theta, rate=fitted.rate)
-    return _likelier(fitted, beside) is beside
+    fit = fitted_from(problem, structure, theta, rate=fitted.rate)
+    return _likelier(fitted, fit) is fit

@@ -82,8 +82,8 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
 
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
-    beside = _Beside(problem, fitted)
-    scores = side_by_side([partial(beside.best, part) for part in parts])
+    screening = _Screening(problem, fitted)
+    scores = side_by_side([partial(screening.best, part) for part in parts])
     return sorted((score for score in scores if score is not None), key=lambda s: -s.nats)
 
 
@@ -134,7 +134,7 @@ def linear_of(part: Part) -> list[int]:
             if not spec.log and not spec.starts and spec.centre == 0.0]
 
 
-class _Beside(Trajectory):
+class _Screening(Trajectory):
     """The fit beside which candidates are scored; its parameters are projected out.
 
     The priors of the fit's parameters count as rows of their own.
@@ -189,7 +189,7 @@ class _Beside(Trajectory):
         return scores
 
     @cached_property
-    def on_short_problem(self) -> _Beside | None:
+    def on_short_problem(self) -> _Screening | None:
         """The same on the short part of the flight."""
         short_problem = self.problem.short_problem
         if short_problem is None:
@@ -198,7 +198,7 @@ class _Beside(Trajectory):
         steps = short_problem.steps(fitted.structure, fitted.theta)
         prediction = short_problem.flight.predict(fitted.structure, fitted.theta, steps=steps)
         return None if prediction.jacobian is None else \
-            _Beside(short_problem, replace(fitted, prediction=prediction))
+            _Screening(short_problem, replace(fitted, prediction=prediction))
 
     def starts(self, part: Part) -> list[FloatArray]:
         """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
@@ -225,12 +225,12 @@ class _Beside(Trajectory):
 
         Rounding adds a saw over the command, for which its first harmonic stands.
         """
-        data, pushed = self.problem.data, self._behind_lag()
+        data, input_part = self.problem.data, self._behind_lag()
         late = round(self.values[2] / data.dt)
         bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
         sums = np.zeros(1 + round(1.0 / BIN))
         for levels, share in zip(bins.T.astype(int), data.share, strict=True):
-            sums += np.bincount(levels, share * pushed, sums.size)
+            sums += np.bincount(levels, share * input_part, sums.size)
         waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
         size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
         starts = []
@@ -328,13 +328,13 @@ def candidates(
     user's, what changes a built-in term can be shown only where the base keeps that term.
     """
     count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
-    prepared = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
-                for effect in effects
-                if max(effect.motors, default=0) < count
-                and (not effect.axes or problem.data.axis in effect.axes)]
-    parts = [Part(effect, settings) for effect, settings in prepared
+    settings_of = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
+                   for effect in effects
+                   if max(effect.motors, default=0) < count
+                   and (not effect.axes or problem.data.axis in effect.axes)]
+    parts = [Part(effect, settings) for effect, settings in settings_of
              if not isinstance(settings, str)]
-    return parts, {effect.label: why for effect, why in prepared if isinstance(why, str)}
+    return parts, {effect.label: why for effect, why in settings_of if isinstance(why, str)}
 
 
 def _replaced(problem: Problem, effect: Effect) -> str:

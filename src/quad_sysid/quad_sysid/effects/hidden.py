@@ -241,10 +241,10 @@ class Load(Effect):
     def _per_unit(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(…,) acceleration per unit of its weight, and of its inertia."""
         hidden = required(s.hidden)
-        z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
+        z, acceleration = hidden[0], self._ahead(hidden, s, p)[2]
         ratio = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
-        return z, -(directly + ratio * pushed)  # ratio: rad or s² per unit of z
+        return z, -(directly + ratio * acceleration)  # ratio: rad or s² per unit of z
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         weight, inertia = self._per_unit(s, p)

@@ -460,9 +460,9 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
         return np.zeros(fitted.theta.size)
     rate, exact = flight.rate, flight.sensors
     flight.sensors = flight.gyro_sensors(stepped=True)
-    stepped = flight.predict(fitted.structure, fitted.theta)
+    coarse = flight.predict(fitted.structure, fitted.theta)
     flight.rate, flight.sensors = rate, exact
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
-    change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
+    change = (coarse.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
     return -np.linalg.solve(fitted.hessian, j.T @ change)

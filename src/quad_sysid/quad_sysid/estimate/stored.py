@@ -222,14 +222,14 @@ def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
         for key, value in effect.settings.items()
     }
     if physics is None or names != {*physics.readable(np.ones(len(physics.parameters)), settings)}:
-        stated = ' '.join([effect.name, *filter(None, (effect.variant,)),
-                           f'({", ".join(sorted(names))})'])
+        label = ' '.join([effect.name, *filter(None, (effect.variant,)),
+                          f'({", ".join(sorted(names))})'])
         if effect.name.partition(':')[0] in ('shape', 'mode'):
             raise BadInputError(
                 f'model: {model.axis}.effects', 'has an effect that only versions before the '
-                'release of 0.2.0 write and read', stated, 'identify again with this version')
+                'release of 0.2.0 write and read', label, 'identify again with this version')
         raise BadInputError(
-            f'model: {model.axis}.effects', 'names an effect that is not known here', stated,
+            f'model: {model.axis}.effects', 'names an effect that is not known here', label,
             'one of your own is handed in, in Python as read_model(…, effects=(Mine(),)), to a '
             'command as --effects FILE.py; else identify again with this version',
         )

@@ -348,8 +348,8 @@ class _Climb:
                  and model.total - trial.total >= needed > 0.0]
         first = max(named, default=best, key=lambda trial: (
             self.scores.get(frozenset(trial.structure.labels), -np.inf), -trial.total))
-        alike = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
-        plainest = min(alike, key=lambda trial: (len(_added(trial).parameters), trial.total))
+        group = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
+        plainest = min(group, key=lambda trial: (len(_added(trial).parameters), trial.total))
         if plainest.total <= 0.0:  # the reference itself
             return plainest
         return self.projection.project(plainest.structure, plainest.theta)
@@ -388,9 +388,9 @@ class _Climb:
         steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
         columns, _, _ = flight.columns(structure, theta, rate, steps)
         q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
-        left = missing - q @ (q.T @ missing)
+        residual = missing - q @ (q.T @ missing)
         of_reference = [
-            (_explained(trajectory, part, [], reference.theta[where], q, left)[0], part,
+            (_explained(trajectory, part, [], reference.theta[where], q, residual)[0], part,
              reference.theta[where])
             for part, where in reference.structure.effects() if part.effect.label not in have]
         of_reference = sorted(of_reference, key=lambda law: -law[0])[:PROJECTED]
@@ -401,7 +401,7 @@ class _Climb:
             if effect.kind == 'named' and effect.label not in have and not effect.wanders and (
                     effect.happens
                     or type(effect).starts_by_residual is Effect.starts_by_residual):
-                shares += _share(trajectory, part, q, left)
+                shares += _share(trajectory, part, q, residual)
         best: dict[str, tuple[float, Part, FloatArray]] = {}
         for law in sorted(shares, key=lambda law: -law[0]):
             best.setdefault(law[1].effect.label, law)
@@ -417,13 +417,13 @@ class _Climb:
 
 
 def _share(trajectory: Trajectory, part: Part, q: FloatArray,
-           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+           residual: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
     effect, linear, out = part.effect, linear_of(part), []
     for start in effect.starts(trajectory.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
         p[linear] = 0.0
-        share, sizes = _explained(trajectory, part, linear, p, q, left)
+        share, sizes = _explained(trajectory, part, linear, p, q, residual)
         if linear:
             p[linear] = sizes
         if not any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
@@ -432,7 +432,7 @@ def _share(trajectory: Trajectory, part: Part, q: FloatArray,
 
 
 def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
-               left: FloatArray) -> tuple[float, FloatArray]:
+               residual: FloatArray) -> tuple[float, FloatArray]:
     """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
 
     Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
@@ -441,9 +441,9 @@ def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatAr
     rows = trajectory.problem.rows
     c = np.stack([column[rows] for column in trajectory.columns(part, linear, p)], axis=1)
     c = c - q @ (q.T @ c)
-    sizes = np.linalg.lstsq(c, left, rcond=1e-8)[0]
-    after = left - c @ sizes
-    return 1.0 - float(after @ after) / max(float(left @ left), 1e-30), sizes
+    sizes = np.linalg.lstsq(c, residual, rcond=1e-8)[0]
+    after = residual - c @ sizes
+    return 1.0 - float(after @ after) / max(float(residual @ residual), 1e-30), sizes
 
 
 # ------------------------------------------------------------------ what comes again

@@ -291,11 +291,11 @@ def _drift(series: Series, scale: _Scale) -> Drift:
     without = slope[:, None] - w * about * residuals / (information[:, None] * free)
     squares = (residuals**2 * w).sum(axis=1)
     scatter = np.maximum(squares[:, None] - w * residuals**2 / free, 0.0)
-    left = np.abs(without) * np.sqrt(less / scale.variance(series, scatter, n - 3.0))
+    deleted_residuals = np.abs(without) * np.sqrt(less / scale.variance(series, scatter, n - 3.0))
     t = np.abs(slope) * np.sqrt(information / scale.variance(series, squares, n - 2.0))
     best = int(np.argmax(t))
     p = min(1.0, len(shapes) * _chance(t[best], scale, n - 2.0))
-    alone = min(1.0, len(shapes) * _chance(left[best].min(), scale, n - 3.0))
+    alone = min(1.0, len(shapes) * _chance(deleted_residuals[best].min(), scale, n - 3.0))
     variance = float(scale.variance(series, squares[best], n - 2.0))
     limit = squares[best] + NEAR * variance
     near = [series.days[i] for k, (_, i) in enumerate(shapes) if squares[k] <= limit]

@@ -101,11 +101,11 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
         rows[row['bag']] = row
         new.append(row)
         elapsed_s = time.monotonic() - start
-        left = duration(elapsed_s / len(new) * (waiting - len(new)))
+        remaining = duration(elapsed_s / len(new) * (waiting - len(new)))
         done = f'bag {len(new)} of {waiting}, {row["bag"]} {row["status"]}'
-        log(f'{done} in {row["seconds"]:.1f} s, {left} left'
+        log(f'{done} in {row["seconds"]:.1f} s, {remaining} left'
             + (f' ({row["reason"]})' if row['reason'] else ''))
-        show(f'{done}, {left} left')
+        show(f'{done}, {remaining} left')
         if len(new) == SAMPLE or len(new) == len(todo) < SAMPLE:
             log(cost(new, waiting, elapsed_s))
     show('')
@@ -118,12 +118,12 @@ def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
         return 'no bag could be read, so what they cost is not known'
     cpu, size, stored = (sum(row.get(name, 0) for row in able) / len(able)
                          for name in ('cpu_s', 'bytes', 'kept_bytes'))
-    left = max(0, count - len(rows))
+    rest = max(0, count - len(rows))
     peak = max(row.get('peak_mb', 0.0) for row in able)
     return (f'{len(able)} bags took {cpu:.2g} s of CPU each, at most {peak:.0f} MB of memory, '
-            f'{size / 1e6:.2g} MB to read, {stored / 1e6:.2g} MB of results; the other {left}: '
-            f'{duration(cpu * left)} of CPU, {duration(elapsed_s / len(rows) * left)} at this '
-            f'pace, {size * left / 1e9:.2g} GB to read, {stored * left / 1e9:.2g} GB of results')
+            f'{size / 1e6:.2g} MB to read, {stored / 1e6:.2g} MB of results; the other {rest}: '
+            f'{duration(cpu * rest)} of CPU, {duration(elapsed_s / len(rows) * rest)} at this '
+            f'pace, {size * rest / 1e9:.2g} GB to read, {stored * rest / 1e9:.2g} GB of results')
 
 
 def duration(seconds: float) -> str:

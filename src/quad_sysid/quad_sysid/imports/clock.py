@@ -272,8 +272,8 @@ def _uneven(steps: FloatArray, interval: float) -> float:
         if high - low < STEADY * high:
             share = steps / interval
             near = np.abs(share - 1.0) <= UNEVEN
-            beside = np.abs(share - np.round(share))
-            if near.mean() >= FEW_LOST and np.quantile(beside, 0.99) <= MAX_JITTER:
+            distance = np.abs(share - np.round(share))
+            if near.mean() >= FEW_LOST and np.quantile(distance, 0.99) <= MAX_JITTER:
                 return in_whole_us(float(steps[near].mean()))
             usual = (means >= low) & (means <= high)
             return in_whole_us(float(means[usual].mean()))

@@ -113,14 +113,14 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
         table = replace(table, columns={name: table.columns[name] for name in roles})
     options = replace(options, units=_shared(options))
     units = _units(options, table)
-    odd: list[str] = []
+    remarks: list[str] = []
     table = _unsigned(options, table)
     _check_ranges(options, table, units)
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
         table = table.on_clock(options.time, units[options.time])
         times = _column(options, units, options.time, next(iter(table.times.values())))
-        odd += plausible.check_times(times, max(map(float, speeds), default=None))
+        remarks += plausible.check_times(times, max(map(float, speeds), default=None))
     elif options.sample_rate_hz is not None and not table.times:
         table = table.at_rate(options.sample_rate_hz)
     elif any(name not in table.times for name in roles):
@@ -131,7 +131,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
                for option in OPTIONS if option != 'time'}
     notes = [*table.notes, *_limited(options, units, table), *_in_our_frame(options, streams)]
     _unwrap(options, streams)
-    odd += _compared(options, units, streams)
+    remarks += _compared(options, units, streams)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
         rates=_on_axes(options, streams['rate']), angles=_on_axes(options, streams['angle']),
@@ -144,7 +144,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
         velocity=streams['velocity'], position=streams['position'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
-        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(odd),
+        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(remarks),
         clock=tuple(notes), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
@@ -431,7 +431,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         role: grid.values if stream is base else draw(stream, grid.times, 3.0 / stream.rate_hz)
         for role in ('rate', 'angle', 'reference') if (stream := streams[role]) is not None
     }
-    odd, leaning = [], []
+    notes, leaning = [], []
     for i, axis in enumerate(options.axes):
         columns = {
             role: _column(options, units, getattr(options, role)[i], values[:, i],
@@ -440,17 +440,18 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         }
         slides = [c.name for c in columns.values() if c.unit.name.startswith('m')]
         if slides:
-            odd.append(f'{", ".join(slides)}: in metres, which a bag of an aircraft has no place '
-                       f'for: read every rad of {axis} as a metre (qs.from_arrays keeps the unit)')
+            notes.append(f'{", ".join(slides)}: in metres, which a bag of an aircraft has no '
+                         f'place for: read every rad of {axis} as a metre (qs.from_arrays keeps '
+                         'the unit)')
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
-            odd += plausible.check_rate(columns['rate'], columns.get('angle'), grid.dt)
+            notes += plausible.check_rate(columns['rate'], columns.get('angle'), grid.dt)
         if columns.keys() >= {'rate', 'angle'} and axis != 'yaw':
             leaning.append((columns['rate'], columns['angle']))
         if 'reference' in columns and 'angle' in columns:
             plausible.check_reference(columns['reference'], columns['angle'])
-    return odd + plausible.check_extent(leaning)
+    return notes + plausible.check_extent(leaning)
 
 
 def _check_angle(angle: Column, axis: str) -> None:

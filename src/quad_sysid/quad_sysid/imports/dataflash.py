@@ -96,15 +96,15 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     log.in_ms = clock == 'TimeMS'
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
-    timed = [(messages[name][0], times) for name, times in stamps.items()]
-    places = np.concatenate([offsets for offsets, _ in timed]) if timed else np.zeros(0)
+    stamped = [(messages[name][0], times) for name, times in stamps.items()]
+    places = np.concatenate([offsets for offsets, _ in stamped]) if stamped else np.zeros(0)
     order = np.argsort(places, kind='stable')
-    timed_s = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
+    stamps_s = np.concatenate([times for _, times in stamped])[order] if stamped else np.zeros(0)
     for name, (offsets, rows) in messages.items():
         times = stamps.get(name)
         if times is None:  # before 2015 events had none: that of the message before
             index = np.searchsorted(places[order], offsets) - 1
-            times = timed_s[np.maximum(index, 0)] if timed_s.size else np.zeros(len(offsets))
+            times = stamps_s[np.maximum(index, 0)] if stamps_s.size else np.zeros(len(offsets))
         if name == 'PARM':
             _set(log, rows, times)
             continue

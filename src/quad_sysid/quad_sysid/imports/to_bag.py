@@ -196,11 +196,11 @@ def _motion(
         notes.append(f'rates by {how}')
         return rates, angles
     if angles is not None and log.kind != 'a table':  # there they are refused
-        odd = contradicted(grid.values, angles, grid.dt)
+        contradictions = contradicted(grid.values, angles, grid.dt)
         moves = log.velocity is not None or log.position is not None
         left_out = ', and speed and position with them' if moves else ''
-        warnings += [f'{line}: the angles are left out{left_out}' for line in odd]
-        angles = None if odd else angles
+        warnings += [f'{line}: the angles are left out{left_out}' for line in contradictions]
+        angles = None if contradictions else angles
     return grid.values, angles
 
 

@@ -338,7 +338,7 @@ def of_record(record: Record, listing: Topics, *, split: bool) -> Content:
     gaps = finite_runs(lost, (0, record.n))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in excited_axes([record]))
-    layout, odd = _layout(record)
+    layout, contradictions = _layout(record)
     return Content(record.source, listing, sample_rate_hz=1.0 / record.dt,
                    length_s=record.n * record.dt, lost_pct=100.0 * float(np.mean(lost)),
                    longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
@@ -350,7 +350,7 @@ def of_record(record: Record, listing: Topics, *, split: bool) -> Content:
                    if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
                    warnings=tuple(dict.fromkeys(
-                       [*record.warnings, *((warning,) if warning else ()), *odd])))
+                       [*record.warnings, *((warning,) if warning else ()), *contradictions])))
 
 
 def described(craft: Craft) -> str:

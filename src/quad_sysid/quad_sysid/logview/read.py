@@ -34,7 +34,7 @@ SAME_GRID = 0.9
 """Share of the rates' rate from which the raw gyro is put on their grid."""
 MOST_TURNS = 200.0
 """Largest set-point of an angle, rad: some thirty turns of yaw."""
-LACKING = {
+CONSEQUENCES = {
     'rate_setpoint': 'rate set-point: no step response of the rate, no loop, no tracking error',
     'motors': 'motors: no balance, no limits', 'speeds': 'rotor speeds: no orders, no motor delay',
     'battery_v': 'battery', 'rates_before': 'gyro before its filters: their delay is by settings',
@@ -201,7 +201,7 @@ def _complete(flown: Flown) -> Flown:
     if not flown.axes:
         raise BadInputError(flown.source, 'shows no axis that turns',
                             remedy='give the log of a flight')
-    lacks = [text for name, text in LACKING.items()
+    lacks = [text for name, text in CONSEQUENCES.items()
              if getattr(flown, name) is None or (name == 'gains' and not flown.gains)]
     return replace(flown, lacks=tuple(lacks))
 

@@ -144,7 +144,7 @@ def driven(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line
     """
     newest = (newest + line.shape[0] - 1) % line.shape[0]
     for i in range(r.shape[1]):
-        area0 = area1 = lagged = command = 0.0
+        area0 = area1 = filtered_command = command = 0.0
         for c in range(w.shape[0]):
             line[newest, c, i] = r[at.commands[c], i]
             w[c, i] = motor_step(
@@ -153,10 +153,10 @@ def driven(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line
                 uneven(factors[i, c]), factors[i, c], r[at.when[2], i], dt, lags[i, c], own)
             area0 += row[i, c] * own[0]
             area1 += row[i, c] * own[1]
-            lagged += row[i, c] * own[2]
+            filtered_command += row[i, c] * own[2]
             command += row[i, c] * own[3]
         r[at.motors, i], r[at.motors + 1, i] = area0 * 2.0 / dt, area1 * 2.0 / dt
-        r[at.motors + 2, i], r[at.motors + 3, i] = lagged, command
+        r[at.motors + 2, i], r[at.motors + 3, i] = filtered_command, command
     return newest
 
 

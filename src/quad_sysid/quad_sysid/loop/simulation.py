@@ -289,11 +289,11 @@ def simulate_cascade(
     while len(starts) < flights:  # laws in Python fly the start itself
         starts.append(running(plants[0], initial_rate, initial_angle) if starts[0].calls
                       else starts[0])
-    alike: dict[Any, list[int]] = {}
+    groups: dict[Any, list[int]] = {}
     for i, now in enumerate(starts):
-        alike.setdefault(now.kind, []).append(i)
+        groups.setdefault(now.kind, []).append(i)
     out = np.empty((flights, 4, n))
-    for each in alike.values():
+    for each in groups.values():
         for first in range(0, len(each), TOGETHER):
             some = each[first : first + TOGETHER]
             inputs = np.stack([row[some] for row in rows], axis=1)
@@ -391,7 +391,7 @@ def angle_lead_s(angle: FloatArray | None, rate: FloatArray, dt: float) -> float
     if not power > 0.0:
         return 0.0
     share = float(turn @ step) / power
-    left = step - share * turn
-    if float(left @ left) > (1.0 - LEAST_EXPLAINED) * float(step @ step):
+    residual = step - share * turn
+    if float(residual @ residual) > (1.0 - LEAST_EXPLAINED) * float(step @ step):
         return 0.0
     return (min(max(share, 0.0), 1.0) - 0.5) * dt

@@ -327,10 +327,10 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     parts = [_prepare(record, axis) for record in records]
     if len({part['motors'].shape[1] for part in parts}) > 1:  # not known in one of them
         parts = [part | {'motors': part['motors'][:, :0]} for part in parts]
-    joined: dict[str, Any] = {
+    fields: dict[str, Any] = {
         key: np.concatenate([values[key] for values in parts]) for key in parts[0]
     }
-    is_finite = np.isfinite(joined['rate'])
+    is_finite = np.isfinite(fields['rate'])
     stops = itertools.accumulate(record.n for record in records)
     flights = tuple(itertools.pairwise([0, *stops]))
 
@@ -345,20 +345,20 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         ]
 
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
-        values = joined[name].reshape(is_finite.size, -1)
+        values = fields[name].reshape(is_finite.size, -1)
         covered = np.isfinite(values).all(axis=1).mean() > least
-        joined[name] = filled(joined[name]) if covered else None
+        fields[name] = filled(fields[name]) if covered else None
     units = {place for record in records for place in record.injected_at(axis)}
-    if len(units) > 1 or not np.isfinite(joined['reference']).any():
-        joined['reference'] = None
+    if len(units) > 1 or not np.isfinite(fields['reference']).any():
+        fields['reference'] = None
     for role in ('train', 'validation'):
-        joined[role] = tuple(span for span, _ in pieces(role))
+        fields[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
     filters = [run for record in records for run in _filters(record, axis)]
     usual = next((hz for hz, _ in filters if hz is not None), None)
     cut_offs = [(hz or usual, count) for hz, count in filters]
     return AxisData(
-        axis=axis, dt=dt, **joined,
+        axis=axis, dt=dt, **fields,
         stretches=tuple(run for flight in flights
                         for run in bridged(finite_runs(is_finite, flight), dt)),
         gyro_filter_hz=usual,
@@ -397,15 +397,15 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
     missing, external = np.full(n, np.nan), record.external(axis)
     # rows from one known sample to the next, whatever rounding makes of a whole number of them
     apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
-    beside = [_rate_and_angle(record, name) for name in entry.others]
+    other_motion = [_rate_and_angle(record, name) for name in entry.others]
     return {
         'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
         'lost': ~is_finite, 'uncommanded': ~np.isfinite(control[:, entry.index + 1]),
         'angle': missing if motion.position is None else motion.position,
-        'other_angles': np.column_stack([position for _, position in beside]),
+        'other_angles': np.column_stack([position for _, position in other_motion]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_gaps(np.column_stack([rate for rate, _ in beside]), apart),
+        'other_rates': across_gaps(np.column_stack([rate for rate, _ in other_motion]), apart),
         'battery_v': missing if record.battery_v is None else record.battery_v,
         'reference': missing if external is None else external,
     }
@@ -442,13 +442,13 @@ def where_commands_were_lost(data: AxisData, is_measured: NDArray[np.bool_],
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    joined: list[Span] = []
+    merged: list[Span] = []
     for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
-            joined[-1] = joined[-1][0], stop
+        if merged and (start - merged[-1][1]) * dt <= BRIDGED_S:
+            merged[-1] = merged[-1][0], stop
         else:
-            joined.append((start, stop))
-    return joined
+            merged.append((start, stop))
+    return merged
 
 
 def filled(values: FloatArray) -> FloatArray:

@@ -96,10 +96,10 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     is_measured = ~unmeasured(data)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
-        home = next(s for s in data.stretches if s[0] <= start < s[1])
-        begin = max(home[0], start - lead)
-        begin += int(np.argmax(is_measured[begin : home[1]]))
-        if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
+        around = next(s for s in data.stretches if s[0] <= start < s[1])
+        begin = max(around[0], start - lead)
+        begin += int(np.argmax(is_measured[begin : around[1]]))
+        if merged and begin <= merged[-1][1] and merged[-1][0] >= around[0]:
             merged[-1][1] = max(merged[-1][1], stop)
         else:
             merged.append([begin, stop])
@@ -516,8 +516,8 @@ def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, Float
                                 more, each)  # type: ignore[arg-type]
         following = np.concatenate([listing.places(one).ravel() for one in leaves(later)])
     except (Untraceable, TypeError, IndexError, ValueError):
-        for now, pushed in zip(cells, push, strict=True):
-            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], pushed, step)
+        for now, acceleration in zip(cells, push, strict=True):
+            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], acceleration, step)
             path.append(flat(x))
         return unflat(np.stack(path, axis=1), x)
     code, inputs, places = listing.repeated(following)

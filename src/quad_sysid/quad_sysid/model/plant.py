@@ -185,9 +185,9 @@ class Plant:
         drive = drive_of(self.command_effects, s, remembered)
         longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.command_effects)
         line = np.repeat(drive.commands[None], 3 + math.ceil(longest / self.dt), axis=0)
-        lagged = np.tensordot(drive.row, drive.commands, 1)
-        signals = s.replaced(rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
-                        command=self.p[0] * lagged, change=np.zeros_like(lagged))
+        level = np.tensordot(drive.row, drive.commands, 1)
+        signals = s.replaced(rate=rate, angle=angle, drive=self.p[0] * level, lagged=level,
+                        command=self.p[0] * level, change=np.zeros_like(level))
         hidden = tuple(
             None if not part.effect.states else
             (part.effect.steady if steady else part.effect.begin)(signals, p, part.settings)

@@ -76,9 +76,9 @@ class Sensitivity:
                              for j in range(where.start, where.stop))]
         started = self._initial(p, range(count), bent)
         for j, step in enumerate(steps):
-            moved_theta = self.theta.copy()
-            moved_theta[j] += step
-            q = structure.natural(moved_theta)
+            shifted_theta = self.theta.copy()
+            shifted_theta[j] += step
+            q = structure.natural(shifted_theta)
             shifted = self._passed(q) if j in bent else here
             more, later = self._forces(shifted, q)
             columns[:, j] = (more - force) / step

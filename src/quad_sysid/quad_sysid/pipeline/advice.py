@@ -122,10 +122,10 @@ def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
             f'the delay of {samples} samples ({1e3 * samples * model.dt:.0f} ms) is not '
             f'that of the grey box (delay and lag {1e3 * lag:.0f} ms): check the stamps'
         )
-    broken = [row for row in answer.rows if any(r.diverged for r in row.loop_runs)
-              and row.step_a.passed_first_step]
-    if broken:
-        names = ', '.join(row.step_a.model.name for row in broken)
+    unstable = [row for row in answer.rows if any(r.diverged for r in row.loop_runs)
+                and row.step_a.passed_first_step]
+    if unstable:
+        names = ', '.join(row.step_a.model.name for row in unstable)
         yield (f'with the recorded gains the simulated cascade diverges for {names}, while the '
                'aircraft flew: gain or delay of the model is not consistent with the cascade')
 

@@ -72,8 +72,8 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
 
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
     """The controller, if it reproduces the recorded command, and the finding in words."""
-    ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
-    best = max(ways, key=lambda way: reproduced(z, way))
+    controllers = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
+    best = max(controllers, key=lambda way: reproduced(z, way))
     fit = reproduced(z, best)
     if fit < KNOWN_CONTROLLER_PCT:
         return None, (
@@ -169,9 +169,9 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
             return True
         if through:
             return None
-        stated = gains is not None and gains.rate_kp != 0.0
+        has_gains = gains is not None and gains.rate_kp != 0.0
         excluded = _few_levels(z) or (
-            not stated and largest_loop_gain(z, model) < NEGLIGIBLE)
+            not has_gains and largest_loop_gain(z, model) < NEGLIGIBLE)
     except QuadSysidError:
         return None
     return False if excluded else None

@@ -135,9 +135,9 @@ def pick(models: Mapping[str, AxisModel], axes: str | None,
         return dict(models)
     requested, named = axes_in(axes), axes.split(',')
     chosen = {axis: models[axis] for axis in requested if axis in models}
-    lacking = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
-    if lacking:
-        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(lacking),
+    absent = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
+    if absent:
+        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(absent),
                             f'it holds {", ".join(models)}')
     return chosen
 

@@ -69,9 +69,9 @@ class Table:
         widths = _widths(cells, [i for i, c in enumerate(columns) if c not in self.numeric])
         out = []
         for row, line in enumerate(cells, -1):
-            broken = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
-                      for cell, width in zip(line, widths, strict=True))
-            for k, parts in enumerate(zip_longest(*broken, fillvalue='')):
+            wrapped_cells = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
+                             for cell, width in zip(line, widths, strict=True))
+            for k, parts in enumerate(zip_longest(*wrapped_cells, fillvalue='')):
                 padded = (part.rjust(width) if c in self.numeric else part.ljust(width)
                           for part, width, c in zip(parts, widths, columns, strict=True))
                 mark = '*' if row == self.marked and not k else ' '
@@ -270,10 +270,10 @@ def _became(item: Tree) -> str:
         return f'not tested: {item["because"]}'
     if item['outcome'] == 'added':
         return 'tried and added'
-    beside, best = ' + '.join(item['with']), item['best']
+    partners, best = ' + '.join(item['with']), item['best']
     return (
         f'tried and not added: log evidence over the base {number(item["log_evidence_over_base"])}'
-        f'{f" (with {beside})" if beside else ""}, where '
+        f'{f" (with {partners})" if partners else ""}, where '
         f'{" + ".join(best["effects"]) or "the base alone"} has '
         f'{number(best["log_evidence_over_base"])}'
     )

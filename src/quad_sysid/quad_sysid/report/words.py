@@ -112,8 +112,8 @@ def named(effect: Tree) -> str:
         late = f'follows what the {rest[-1]} has lately been'
         return f'a {term} that {"warms up" if rest[-1] == "time" else late}'
     second = variant.partition('with ')[2]
-    beside = f' and the {second}' if second else ''
-    return f'a {term} that depends on the {rest[-1]}{beside}'
+    suffix = f' and the {second}' if second else ''
+    return f'a {term} that depends on the {rest[-1]}{suffix}'
 
 
 def likeliest(effect: Tree) -> str:

@@ -188,9 +188,9 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
         raise BadInputError(where, 'signal is unknown', repr(name), f'use {", ".join(SIGNALS)}')
     kind = SIGNALS[name]
     names = parameter_names(name)
-    strange = [key for key in parameters if key not in names]
-    if strange:
-        raise BadInputError(where, f'unknown key {shortened(", ".join(strange))} for {name}',
+    unknown = [key for key in parameters if key not in names]
+    if unknown:
+        raise BadInputError(where, f'unknown key {shortened(", ".join(unknown))} for {name}',
                             remedy=f'it takes {", ".join(names) or "none"}')
     numbers = {key: _number(value, key, where) for key, value in parameters.items()}
     try:
