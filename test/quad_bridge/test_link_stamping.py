@@ -6,7 +6,7 @@ Whatever happens, no stamp is off by a millisecond or more, and none runs backwa
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
 
-from quad_bridge.link.guards import PATIENCE_NS
+from quad_bridge.link.guards import TIMEOUT_NS
 from quad_bridge.wire import frames as f
 
 
@@ -179,5 +179,5 @@ def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
         line.hear(line.controller.encode(f.RcChannels(us // 1000, (1500,) * 9)))
         line.attend()
         waiting.append(k + 1 - len(line.out))
-    assert max(waiting) <= 2 * PATIENCE_NS / (5 * CYCLE_NS) + 2
+    assert max(waiting) <= 2 * TIMEOUT_NS / (5 * CYCLE_NS) + 2
     assert len(line.out) > 465

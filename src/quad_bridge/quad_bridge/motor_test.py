@@ -59,7 +59,7 @@ class MotorTest:
         self._reply: Callable[[bool, str], None] | None = None
         self._motor, self._throttle = 0, 0.0
         self._start_s = self._until_s = self._sent_s = -math.inf
-        self._accepted = False
+        self._acknowledged = False
 
     @property
     def running(self) -> bool:
@@ -81,7 +81,7 @@ class MotorTest:
         if not self._enable.is_held(now_s):
             raise RefusedError('hold /operator/enable: the motor stops when you release it')
         self._reply, self._motor, self._throttle = reply, motor, throttle
-        self._start_s, self._until_s, self._accepted = now_s, now_s + duration_s, False
+        self._start_s, self._until_s, self._acknowledged = now_s, now_s + duration_s, False
         return self._send(now_s)
 
     def tick(self, now_s: float) -> Command | None:
@@ -90,11 +90,11 @@ class MotorTest:
             return None
         if not self._enable.is_held(now_s):
             return self.end('/operator/enable was let go')
-        if not self._accepted and now_s - self._start_s > ANSWER_S:
+        if not self._acknowledged and now_s - self._start_s > ANSWER_S:
             return self.end(f'no answer in {ANSWER_S:g} s')
         if now_s >= self._until_s:
             words = f'motor {self._motor} spun at {100.0 * self._throttle:.0f} %'
-            return self.end(words, is_success=self._accepted)
+            return self.end(words, is_success=self._acknowledged)
         return self._send(now_s) if now_s - self._sent_s >= AGAIN_S else None
 
     def acknowledged(self, ack: CommandAck) -> None:
@@ -102,7 +102,7 @@ class MotorTest:
         if not self.running or ack.command != COMMAND:
             return
         words = outcome_of(ack.result)
-        self._accepted = self._accepted or words == ACCEPTED
+        self._acknowledged = self._acknowledged or words == ACCEPTED
         if words != ACCEPTED:
             why = ('it must be disarmed, level and at rest for 2 s, with a receiver that works, '
                    'throttle down, kill switch off, and a set-up without fault')  # fmt: skip

@@ -30,7 +30,7 @@ from quad_sysid.units import Units
 WHERE = 'arrays'
 MOST_COMMAND = 0.5
 """Largest normalised command."""
-FEWEST_PER_OSCILLATION = 15
+MIN_PER_OSCILLATION = 15
 """Samples below which a narrow oscillation is warned of: a model takes one step per sample."""
 NARROW = 1.3
 """Factor to either side of the median frequency between which half of the power is narrow."""
@@ -530,7 +530,7 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     frequency_hz = np.fft.rfftfreq(centred.size, dt)
     middle = frequency_hz[int(np.searchsorted(np.cumsum(power), 0.5 * power.sum()))]
     near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
-    if middle * dt * FEWEST_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
+    if middle * dt * MIN_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
         return ()
     text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
             'per oscillation; a model takes one step per sample and wants thirty: sample faster')
@@ -542,10 +542,10 @@ def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: A
     """The record with the requested segments, if any, for samples at time_s (n,), s."""
     if train is None and validate is None:
         return record
-    trained = None if train is None else _mask('train', train, time_s, last=False)
-    held_out = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
-                                                                   last=True)
-    masks = {'train': ~held_out if trained is None else trained, 'validation': held_out}
+    train_mask = None if train is None else _mask('train', train, time_s, last=False)
+    held_out = ~np.asarray(train_mask) if validate is None else _mask('validate', validate, time_s,
+                                                                      last=True)
+    masks = {'train': ~held_out if train_mask is None else train_mask, 'validation': held_out}
     both = masks['train'] & masks['validation']
     if both.any():
         raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',

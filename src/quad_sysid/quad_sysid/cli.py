@@ -353,13 +353,13 @@ def _trained(options: argparse.Namespace, record: Record) -> bool:
         return False
     if not isinstance(tree, dict) or tree.get('schema') != document.SCHEMA:
         return False
-    trained = {(axis, round(segment['start_s'], 3), round(segment['end_s'], 3))
-               for axis, of_axis in tree['axes'].items() for segment in of_axis['segments']
-               if segment['role'] == 'train'}
+    train_segments = {(axis, round(segment['start_s'], 3), round(segment['end_s'], 3))
+                      for axis, of_axis in tree['axes'].items() for segment in of_axis['segments']
+                      if segment['role'] == 'train'}
     own = {(s.axis, round(s.start_s, 3), round(s.end_s, 3))
            for s in split_segments(record).segments
            if s.role == 'train' and s.axis in tree['axes']}
-    return bool(own) and own <= trained and Path(options.bag).name in {
+    return bool(own) and own <= train_segments and Path(options.bag).name in {
         Path(name).name for name in tree['bags']}
 
 

@@ -120,8 +120,8 @@ def design_experiment(
     if not any(math.isfinite(score) for score, _, _ in scores):
         raise NotInformativeError('design_experiment: no candidate is informative within these '
                                   'limits; widen them or take longer')
-    ordered = sorted(scores, key=lambda entry: -entry[0])
-    _, best, information = ordered[0]
+    by_score = sorted(scores, key=lambda entry: -entry[0])
+    _, best, information = by_score[0]
     covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
     expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     sign = 1.0 if criterion == 'D' else -1.0
@@ -138,7 +138,7 @@ def design_experiment(
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,
         ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',
-                       sign * score) for score, i, _ in ordered))
+                       sign * score) for score, i, _ in by_score))
 
 
 def _values(model: Identified) -> dict[str, tuple[float, float | None]]:

@@ -351,11 +351,11 @@ def _sums(
         total = np.concatenate([np.zeros((1, k)), np.cumsum(filtered, axis=0)])
         mean = (total[step:] - total[:-step]) / step
         for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
-            shifted = np.zeros((n, k))
-            shifted[delay : delay + len(mean)] = mean[: n - delay]
+            delayed = np.zeros((n, k))
+            delayed[delay : delay + len(mean)] = mean[: n - delay]
             usable = is_finite & np.isfinite(response)
             usable[:delay] = False
-            sums = [_block(shifted[rows], response[rows])
+            sums = [_block(delayed[rows], response[rows])
                     for rows in np.array_split(np.flatnonzero(usable), BLOCKS)]
             products.append(tuple(map(np.array, zip(*sums, strict=True))))
     return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))

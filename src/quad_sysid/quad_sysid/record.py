@@ -281,8 +281,8 @@ class Record:
         """Where the axis is excited in its training, or without any in all of its segments."""
         excitations = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
                        and s.role != 'idle']
-        trained = {s.injection for s in excitations if s.role == 'train'}
-        return trained or {s.injection for s in excitations}
+        injections = {s.injection for s in excitations if s.role == 'train'}
+        return injections or {s.injection for s in excitations}
 
     def span(self, segment: Segment) -> tuple[int, int]:
         """Index range [start, stop) of a segment."""
@@ -541,8 +541,8 @@ def _spans(value: object, n: int) -> tuple[tuple[int, int], ...]:
     for start, stop in spans:
         if not 0 <= start < stop <= n:
             raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))
-    ordered = sorted(spans)
-    for first, other in itertools.pairwise(ordered):
+    sorted_spans = sorted(spans)
+    for first, other in itertools.pairwise(sorted_spans):
         if other[0] < first[1]:
             raise BadInputError('IOData', 'segments must not overlap, samples would count twice',
                                 f'{first} and {other}')

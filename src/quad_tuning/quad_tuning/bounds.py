@@ -60,9 +60,9 @@ def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
         return BOUNDS
     unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
     limits = dict(BOUNDS)
-    for ours, (low, high) in table.limits(number, (unit, unit, unit)).items():
-        bound = BOUNDS[ours]
-        limits[ours] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
+    for name, (low, high) in table.limits(number, (unit, unit, unit)).items():
+        bound = BOUNDS[name]
+        limits[name] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
     return limits
 
 

@@ -236,15 +236,15 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
     """
     out = []
     for axis in AXES:
-        for ours, (parameter, unit) in firmware.cli.items():
-            name = f'{axis}.{ours}'
+        for gain, (parameter, unit) in firmware.cli.items():
+            name = f'{axis}.{gain}'
             if name not in gains:
                 continue
             whole = flown.get(RANGE_US, PIDSUM) if unit in INAV else PIDSUM
             unit_si = unit * DEGREES / (whole or PIDSUM)
-            if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
+            if (axis, gain, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
                 unit_si *= flown.get(YAW_FACTOR, YAW_I)
-            unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
+            unit_si *= flown.get(f'{axis}.rate.tpa_{gain[-2:]}', 1.0)
             value, old = (round(known[name] / unit_si) if name in known and unit_si else None
                           for known in (gains, before))
             if value is None or not 0 <= value <= MOST:
@@ -424,10 +424,10 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
     if table.multiplier:
         yield table.multiplier.format(axis_name), 1.0, 'P, I, D stand by themselves'
-    for ours in NEEDED[1:]:
-        if own[ours] < 0.0:
-            raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
-        yield (rows[ours].name(axis_name), own[ours] / unit,
-               f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
+    for gain in NEEDED[1:]:
+        if own[gain] < 0.0:
+            raise BadInputError(f'{axis}.{gain}', 'must not be negative', own[gain])
+        yield (rows[gain].name(axis_name), own[gain] / unit,
+               f'{axis}.{gain} {own[gain]:.6g} / {unit:.6g}')
     if D_FILTER in own and own['rate.kd']:
         yield rows[D_FILTER].name(axis_name), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'

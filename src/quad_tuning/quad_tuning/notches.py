@@ -85,9 +85,9 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
             place = free[0]
         else:
             continue
-        made = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
-        if made is not None:
-            notches.append(made)
+        notch = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
+        if notch is not None:
+            notches.append(notch)
             free = [one for one in free if one != place]
     return tuple(notches)
 

@@ -165,11 +165,11 @@ class ParameterGains:
     def recall(self, record: object) -> None:
         """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
         self._recalled = True
-        good = record.get('good') if isinstance(record, dict) else None
-        if not isinstance(good, dict) or self._good:
+        stored = record.get('good') if isinstance(record, dict) else None
+        if not isinstance(stored, dict) or self._good:
             return
         self._good = {
-            str(name): float(value) for name, value in good.items()
+            str(name): float(value) for name, value in stored.items()
             if name in self._table.written and isinstance(value, int | float)
             and math.isfinite(value)
         }

@@ -117,7 +117,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
     has_sid = 'SID_AXIS' in known
     blocked = int(known.get('FLTMODE_GCSBLOCK', 0))
     learns = int(known.get('MOT_HOVER_LEARN', 0))
-    options, silent_s = known.get('GUID_OPTIONS'), known.get('GUID_TIMEOUT', 3.0)
+    options, timeout_s = known.get('GUID_OPTIONS'), known.get('GUID_TIMEOUT', 3.0)
     advice = [
         (f'log LOG_BITMASK {bits}', bits & 3 == 3,
          f'set LOG_BITMASK to {bits | 3} (bits 0, 1 fast and medium attitude)'),
@@ -129,7 +129,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
         ('GUID_OPTIONS ' + ('is not answered' if options is None else f'{options:g}'),
          options is not None and not int(options) & 1 << GUID_THROTTLE,
          f'clear bit {GUID_THROTTLE}: with it no climb in GUIDED_NOGPS is half throttle'),
-        (f'a silent bridge is noticed after GUID_TIMEOUT {silent_s:g} s', silent_s <= 3.0,
+        (f'a silent bridge is noticed after GUID_TIMEOUT {timeout_s:g} s', timeout_s <= 3.0,
          'set GUID_TIMEOUT to 3 or less: the last attitude is held for so long'),
         (f'MOT_HOVER_LEARN {learns}', not learns,
          'set it to 0 after a minute of hover: the unit of the gains follows what it learns'),

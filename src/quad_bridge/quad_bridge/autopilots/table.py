@@ -115,10 +115,10 @@ class Table:
         """Gains by contract name, SI, from parameters; a limit or filter of 0 is left out."""
         known = {now: known[old] for old, now in self.former.items() if old in known} | dict(known)
         gains = {}
-        for ours, axis, row, parameter in self.of_axes():
+        for gain, axis, row, parameter in self.of_axes():
             value = known.get(parameter)
-            if value is not None and (value > 0.0 or not ours.endswith(('limit', '_hz'))):
-                gains[ours] = float(value * self.factor(row, axis, known, units))
+            if value is not None and (value > 0.0 or not gain.endswith(('limit', '_hz'))):
+                gains[gain] = float(value * self.factor(row, axis, known, units))
         for name, unit in zip(AXES, units, strict=True):
             if f'{name}.rate.kp' in gains:
                 gains[f'{name}.rate.output_limit'] = float(unit)
@@ -133,11 +133,11 @@ class Table:
     def limits(self, axis: int, units: Units) -> dict[str, Limits]:
         """Lowest and highest value, ours, of each gain of an axis that can be written."""
         limits = {}
-        for ours, i, row, _ in self.of_axes():
+        for gain, i, row, _ in self.of_axes():
             span = row.span(i)
             if i == axis and span is not None:
                 factor = self.factor(row, axis, {}, units)
-                limits[ours] = span[0] * factor, span[1] * factor
+                limits[gain] = span[0] * factor, span[1] * factor
         return limits
 
     def parameters(
@@ -148,11 +148,11 @@ class Table:
         Raises UnfitError where one has no parameter, or leaves what the parameter may be.
         """
         parameters: dict[str, float] = {}
-        rows = {ours: (axis, row, parameter) for ours, axis, row, parameter in self.of_axes()}
-        for ours, value in gains.items():
-            entry = rows.get(ours)
+        rows = {gain: (axis, row, parameter) for gain, axis, row, parameter in self.of_axes()}
+        for gain, value in gains.items():
+            entry = rows.get(gain)
             if entry is None or entry[1].limits is None:
-                raise UnfitError(f'{ours}: this autopilot has no such gain that can be set')
+                raise UnfitError(f'{gain}: this autopilot has no such gain that can be set')
             axis, row, parameter = entry
             factor = self.factor(row, axis, known, units)
             new = value / factor if factor else math.nan
@@ -160,7 +160,7 @@ class Table:
             slack = 1e-6 * high
             if not low - slack <= new <= high + slack:
                 raise UnfitError(
-                    f'{ours}: {parameter} must lie in {low:g} .. {high:g}: found {new:.4g}'
+                    f'{gain}: {parameter} must lie in {low:g} .. {high:g}: found {new:.4g}'
                 )
             parameters[parameter] = min(new, parameters.get(parameter, sys.float_info.max))
         return parameters

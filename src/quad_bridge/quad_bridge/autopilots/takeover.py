@@ -172,8 +172,8 @@ class Takeover:
             return []
         out: list[f.Frame] = []
         self._step(start, now_s, out)
-        silent = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S
-        if now_s - self._sent_s >= PERIOD_S and self._start is not None and not silent:
+        leaves = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S
+        if now_s - self._sent_s >= PERIOD_S and self._start is not None and not leaves:
             self._sent_s = now_s
             out.append(self._set_point(start, now_s))
         return out

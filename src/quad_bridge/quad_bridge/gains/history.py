@@ -179,19 +179,19 @@ class History:
 
     def _replace(self, path: Path, text: str) -> bool:
         """Replace a file, on the disk when this returns; whether that was done."""
-        fresh = path.with_suffix(f'.{os.getpid()}')
+        temporary = path.with_suffix(f'.{os.getpid()}')
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with fresh.open('w', encoding='utf-8') as file:
+            with temporary.open('w', encoding='utf-8') as file:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
-            fresh.replace(path)
+            temporary.replace(path)
         except OSError as error:
             self.fault = f'{path}: cannot be written ({error.strerror})'
             self._last = {}
             with contextlib.suppress(OSError):
-                fresh.unlink()
+                temporary.unlink()
             return False
         return True
 

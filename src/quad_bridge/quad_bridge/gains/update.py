@@ -577,6 +577,6 @@ class GainUpdates:
         if trouble:
             raise RefusedError(f'the check of the polarity was {trouble}')
         self.polarity.refuse_faults()
-        silent = ', '.join(self.polarity.unchecked(request.gains))
-        if silent:
-            raise RefusedError(f'{silent} did not respond to the pulses: mount it free about it')
+        names = ', '.join(self.polarity.unchecked(request.gains))
+        if names:
+            raise RefusedError(f'{names} did not respond to the pulses: mount it free about it')

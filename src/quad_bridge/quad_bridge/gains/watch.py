@@ -121,8 +121,8 @@ class GainWatch:
         average[-1] = RMS_AVERAGE_S
         self._share = (self._dt / average)[:, np.newaxis]
         self._fade = np.exp(-self._dt / (2.0 * average))[:, np.newaxis]
-        self._patience = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
-        self._patience[-1] = 0.3
+        self._delays_s = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
+        self._delays_s[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
         most = np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2
@@ -281,7 +281,7 @@ class GainWatch:
             i = int(np.argmax(self._exceeded_s))
             measured, limit = np.degrees((self._distance[i], self._limit()[i]))
             return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
-        late = self._over_s > self._patience
+        late = self._over_s > self._delays_s
         if not late.any():
             return None
         bound = self._bound + self._peak * self._explained

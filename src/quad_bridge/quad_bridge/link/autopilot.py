@@ -187,9 +187,9 @@ class Autopilot:
         gyro = self._measured(frame.name, frame.gyro)
         if gyro is None or not self.feeds(INERTIAL, frame.name, now_ns):
             return None
-        fresh = self._alive(INERTIAL, 'ATTITUDE', now_ns)
+        is_recent = self._alive(INERTIAL, 'ATTITUDE', now_ns)
         grain_us = 1 if frame.name == 'HIGHRES_IMU' else 1000
-        angles = self._angles if fresh else None
+        angles = self._angles if is_recent else None
         return Inertial(frame.time_us, gyro, frame.accel, angles, grain_us)
 
     def slow(self, frame: SlowSensors, now_ns: int) -> list[tuple[str, SlowSensors]]:
@@ -291,9 +291,9 @@ class Autopilot:
 
     def missing(self, now_ns: int) -> list[str]:
         """Topics of the contract that stay empty."""
-        silent = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
+        topics = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
         never = NEVER[:1] if self.also_hz else NEVER  # the others come from ATTITUDE_TARGET
-        return [*(topic for topic in silent if topic not in OPTIONAL), *never]
+        return [*(topic for topic in topics if topic not in OPTIONAL), *never]
 
     def _alive(self, topic: str, name: str, now_ns: int) -> bool:
         last_ns, lasting_ns = self._sources.get((topic, name), (0, -1))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from quad_bridge.link.autopilot import INERTIAL, Inertial
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
-from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
+from quad_bridge.link.guards import TIMEOUT_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
 FUTURE_NS = 100_000_000  # a stamp later than its arrival by more is false
@@ -131,7 +131,7 @@ class Stamping:
         grains = time_us // grain_us
         stamp = partial(self._stamp_other, topic, frame, grains, grain_us, device_ns)
         late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
-        if self._waiting and now_ns - self._waits_since_ns > 2 * PATIENCE_NS:
+        if self._waiting and now_ns - self._waits_since_ns > 2 * TIMEOUT_NS:
             # cycles would have lost their patience by now: they have stopped, others go on
             if self.late.waiting and self.late.fits_restart:
                 self._drop_other_clock()

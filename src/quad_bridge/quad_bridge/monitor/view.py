@@ -108,9 +108,9 @@ class State:
         entry = self._entry(end)
         if entry is None:
             return _line(label, '-', 'nothing received')
-        silent_s = now_s - entry.at_s
-        if silent_s > STALE_S:
-            return _line(label, 'stale', f'no news for {silent_s:.0f} s: {entry.message}')
+        age_s = now_s - entry.at_s
+        if age_s > STALE_S:
+            return _line(label, 'stale', f'no news for {age_s:.0f} s: {entry.message}')
         return _line(label, entry.word, entry.message)
 
     def _imu(self, now_s: float) -> str:
@@ -124,13 +124,13 @@ class State:
     def _recording(self, now_s: float) -> str:
         entry, bag = self._entry('recording'), PurePath(self.bag).name  # a line is short
         if entry is not None:
-            silent_s = now_s - entry.at_s
-            if silent_s > STALE_S and self.bag_state == 'recording':
+            age_s = now_s - entry.at_s
+            if age_s > STALE_S and self.bag_state == 'recording':
                 # in slow simulated time every node's report is as late
                 others = any(now_s - e.at_s <= STALE_S for e in self.entries.values())
                 return _line('recording', 'ERROR' if others else 'stale',
-                             f'no news of the logger for {silent_s:.0f} s, which recorded {bag}')
-            if silent_s <= STALE_S and entry.level:
+                             f'no news of the logger for {age_s:.0f} s, which recorded {bag}')
+            if age_s <= STALE_S and entry.level:
                 return _line('recording', entry.word, entry.message)
             if (self.bag_state == 'recording' and entry.at_s > self.bag_at_s
                     and 'path' not in entry.values):

@@ -26,7 +26,7 @@ MAX_OFF_G = 0.35  # one of six positions that is this far off the best board was
 SCALE = (0.8, 1.2)  # of a sound accelerometer: data sheets say 3 %
 BY_DIRECTION = 0.025  # weight of a position's direction beside its length: hands err by degrees
 MAX_OFFSET_M_S2 = 5.0  # half of gravity; more is a broken axis
-FEWEST_FIELDS = 50  # some seconds of a compass
+MIN_FIELDS = 50  # some seconds of a compass
 BATTERY_ON_V = 0.5
 ROUND_SHARE = 0.15  # largest distance of the field's points from a sphere, in radii
 
@@ -179,7 +179,7 @@ def compass(raw: FloatArray) -> Values:
     |m|^2 = 2 c m + r^2 - |c|^2, linear in the centre c. Raises RefusedError where they cover too
     little of it, or are no sphere.
     """
-    if len(raw) < FEWEST_FIELDS:
+    if len(raw) < MIN_FIELDS:
         raise RefusedError(f'the compass: {len(raw)} fields are too few; is there one?')
     solved, *_ = np.linalg.lstsq(
         np.column_stack([2.0 * raw, np.ones(len(raw))]), (raw**2).sum(axis=1), rcond=None

@@ -23,7 +23,7 @@ from quad_bridge.wire.signing import Signing
 CHANNELS = 9  # of a receiver; the raw ones follow the corrected ones
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05  # longest for all values, and between looks
 REST_S = 1.5  # over it the specific force of a position is averaged
-FEWEST_CYCLES = 10  # of them
+MIN_CYCLES = 10  # of them
 STILL_RAD_S = 0.15  # range of the rates over REST_S: a hand that holds it still stays below
 STEADY_M_S2 = 1.0  # between the halves of REST_S: a steady turn of 0.14 rad/s has no such range
 
@@ -144,7 +144,7 @@ class Talk:
         self.wait(0.5)
         self._forces, self._rates = [], []
         self.wait(REST_S)
-        if len(self._forces) < FEWEST_CYCLES:
+        if len(self._forces) < MIN_CYCLES:
             raise RefusedError('no control cycles are received')
         forces, half = np.array(self._forces), len(self._forces) // 2
         change = np.linalg.norm(forces[:half].mean(axis=0) - forces[half:].mean(axis=0))

@@ -227,14 +227,14 @@ def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
     set_up = {name: float(values[name]) for name in NAMES}
     entry = {'aircraft': aircraft, 'written': f'{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}',
              'set_up': set_up}  # fmt: skip
-    fresh = path.with_name(f'.{path.name}.new')
+    temporary = path.with_name(f'.{path.name}.new')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_text(yaml.safe_dump(entry, sort_keys=False), encoding='utf-8')
+        temporary.write_text(yaml.safe_dump(entry, sort_keys=False), encoding='utf-8')
         if path.is_file() and not _holds(path, set_up):
-            made = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
-            path.replace(path.with_name(f'{path.stem}_{made:%Y%m%dT%H%M%S%fZ}{path.suffix}'))
-        fresh.replace(path)
+            date = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
+            path.replace(path.with_name(f'{path.stem}_{date:%Y%m%dT%H%M%S%fZ}{path.suffix}'))
+        temporary.replace(path)
     except OSError as error:
         raise BadInputError(str(path), f'cannot be written: {error.strerror}') from error
 

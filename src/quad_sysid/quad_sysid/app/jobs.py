@@ -279,9 +279,9 @@ def _follow(job: Job, terminal: int) -> None:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """Ask the process and its children to end, then kill them."""
-    for number, patience in ((signal.SIGINT, STOP_S), (signal.SIGKILL, STOP_S)):
+    for number, timeout_s in ((signal.SIGINT, STOP_S), (signal.SIGKILL, STOP_S)):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, number)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(patience)
+            process.wait(timeout_s)
             return

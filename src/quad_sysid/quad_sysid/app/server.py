@@ -175,8 +175,8 @@ class App:
             raise RefusedError('is not JSON')
         *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
-            made = [self.queue.add(*one) for one in before]
-            return _json(_job_tree(self.queue.add(*last, after=made)))
+            jobs = [self.queue.add(*one) for one in before]
+            return _json(_job_tree(self.queue.add(*last, after=jobs)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 

@@ -202,8 +202,8 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
                     rows = rows[~unread]
                     continue
             is_complete = len(rows) == len(messages)
-            joined = b''.join(messages if is_complete else [messages[i] for i in rows.tolist()])
-            table = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), -1)
+            data = b''.join(messages if is_complete else [messages[i] for i in rows.tolist()])
+            table = np.frombuffer(data, dtype=np.uint8).reshape(len(rows), -1)
             same = np.ones(len(rows), dtype=bool)
             for start, stop in layout.fixed:
                 same &= (table[:, start:stop] == layout.pattern[start:stop]).all(axis=1)

@@ -68,8 +68,8 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
         return Moving()
     stamps, rows = np.unique(stream.stamps, return_index=True)
     upward = not np.isfinite(stream.values[:, 7:9]).any()  # no horizontal speed is known
-    needed = [*range(7), 9] if upward else slice(None)
-    rows = rows[np.isfinite(stream.values[rows][:, needed]).all(axis=1)]
+    columns = [*range(7), 9] if upward else slice(None)
+    rows = rows[np.isfinite(stream.values[rows][:, columns]).all(axis=1)]
     if rows.size < LEAST:
         warnings.append(f'{ODOM}: {rows.size} messages whose numbers are finite; not used')
         return Moving()

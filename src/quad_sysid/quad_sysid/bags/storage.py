@@ -233,11 +233,11 @@ class Storage:
         """Messages as CDR; those compressed one by one (known by their magic) are decompressed."""
         if not raws or stored.ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
-        opened = [stored.plain_message(raw) for raw in raws]
-        damaged = opened.count(b'')
+        messages = [stored.plain_message(raw) for raw in raws]
+        damaged = messages.count(b'')
         if damaged:
             self.warnings.append(f'{source}: {damaged} compressed messages are damaged; left out')
-        return [raw for raw in opened if raw]
+        return [raw for raw in messages if raw]
 
 
 def storage_in(folder: Path) -> list[Path]:

@@ -218,8 +218,8 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
         if iteration > PATIENCE and point.squares - HOPE * promised > bar:
             break
         steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
-        searched = (_search(point, step, at) for step in steps)
-        lower = next((fit for fit in searched if fit is not None), None)
+        candidates = (_search(point, step, at) for step in steps)
+        lower = next((fit for fit in candidates if fit is not None), None)
         if lower is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break

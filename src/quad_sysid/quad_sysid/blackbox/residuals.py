@@ -64,7 +64,7 @@ class ResidualTest:
         tests = ((self.residual_white, 'white', self.p_white),
                  (self.residual_uncorrelated_with_input, 'free of past inputs', self.p_input),
                  (self.causal, f'causal (by {self.causality_signal})', self.p_causal))
-        lines = (f'  {name}: {"yes" if good else "no"}, p = {p:.2g}' for good, name, p in tests)
+        lines = (f'  {name}: {"yes" if ok else "no"}, p = {p:.2g}' for ok, name, p in tests)
         head = f'residual of {self.samples} samples, tests at {self.confidence:.0%}'
         return '\n'.join([head, *lines])
 

@@ -164,11 +164,11 @@ def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Cand
     """
     local = [candidate for candidate in tries
              if any(part.effect.happens for part in candidate.structure.parts)]
-    apart = [candidate for candidate in tries if candidate not in local]
-    by_labels = {candidate.structure.labels: candidate for candidate in apart[::-1]}
+    others = [candidate for candidate in tries if candidate not in local]
+    by_labels = {candidate.structure.labels: candidate for candidate in others[::-1]}
     best: dict[frozenset[str], Fit] = {}
     shortened = [replace(candidate, rate=candidate.rate[short_problem.index])
-                 for candidate in apart]
+                 for candidate in others]
     for begin in first_fits(short_problem, shortened):
         best.setdefault(frozenset(begin.structure.labels), begin)
     ahead = _leading([*best.values()], FAR_BEHIND / BRIEF)

@@ -315,7 +315,7 @@ class _Screening(Trajectory):
         return out - e
 
 
-FEWEST_MOTORS = 4
+MIN_MOTORS = 4
 """A report lists the effects of so many motors as not tested where no motor is known."""
 
 
@@ -327,7 +327,7 @@ def candidates(
     What differs in a motor that the craft does not have is none of them; beside a law of the
     user's, what changes a built-in term can be shown only where the base keeps that term.
     """
-    count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
+    count = max(problem.data.motors.shape[1], MIN_MOTORS)
     settings_of = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
                    for effect in effects
                    if max(effect.motors, default=0) < count

@@ -359,8 +359,8 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
         untried = [p.effect.label for p in parts if p.effect.label not in fitted]
         reasons |= dict.fromkeys(untried, f'{why}: it was not tried')
         cut_short = why if untried else ''
-    ordered = tuple(sorted(search.known.values(), key=lambda s: -s.score))
-    leading_ones = SearchResult(base, ordered, reasons, search.prices, cut_short=cut_short)
+    ranking = tuple(sorted(search.known.values(), key=lambda s: -s.score))
+    leading_ones = SearchResult(base, ranking, reasons, search.prices, cut_short=cut_short)
     if problem is not full_problem:
         problem, leading_ones = full_problem, _on_all(full_problem, leading_ones)
     return to_convergence(problem, leading_ones)

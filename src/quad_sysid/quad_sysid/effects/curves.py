@@ -115,8 +115,8 @@ class Smooth(Shape):
         return tuple(replace(spec, name=f'{spec.name}{i}') for i in range(COUNT))
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        apart = (PLACES[:, None] - PLACES) / (2.0 * LENGTH)
-        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(COUNT)
+        distance = (PLACES[:, None] - PLACES) / (2.0 * LENGTH)
+        kernel = np.exp(-0.5 * distance**2) + 1e-3 * np.eye(COUNT)
         out, where = np.diag(sizes**-2.0), slice(self.first, self.first + COUNT)
         out[where, where] = np.linalg.inv(kernel) / sizes[self.first] ** 2
         return out

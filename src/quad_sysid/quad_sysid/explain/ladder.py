@@ -54,11 +54,11 @@ class Models:
     may run away. It is no explanation then, and only that rung of the ladder falls away.
     """
 
-    def __init__(self, searched: SearchResult, projection: Projection) -> None:
+    def __init__(self, result: SearchResult, projection: Projection) -> None:
         self.problem, self.projection = projection.problem, projection
-        self.best_fits = {(): searched.base} | {
+        self.best_fits = {(): result.base} | {
             tuple(sorted(scored.fit.structure.labels)): scored.fit
-            for scored in reversed(searched.all)}
+            for scored in reversed(result.all)}
         self.known: dict[tuple[str, ...], Fit] = {}
 
     def follows(self, model: Projected) -> bool:
@@ -285,8 +285,8 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         gained = last.total - float(np.sum(missed))
         if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
             climb.left_out.clear()
-            explained = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
-            rungs.append(Rung(step, missed, max(last.explains_pct, float(explained))))
+            percents = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
+            rungs.append(Rung(step, missed, max(last.explains_pct, float(percents))))
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
@@ -343,9 +343,9 @@ class _Climb:
                 break
         if best is None:
             return None
-        needed = NAMED_FIRST * (model.total - best.total)
+        least = NAMED_FIRST * (model.total - best.total)
         named = [trial for trial in trials if _added(trial).kind == 'named'
-                 and model.total - trial.total >= needed > 0.0]
+                 and model.total - trial.total >= least > 0.0]
         first = max(named, default=best, key=lambda trial: (
             self.scores.get(frozenset(trial.structure.labels), -np.inf), -trial.total))
         group = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
@@ -364,10 +364,10 @@ class _Climb:
         if fitted is not None:  # by the search, perhaps where the base alone does not lead
             own = {other.effect.label: fitted.theta[where]
                    for other, where in fitted.structure.effects()}
-            searched = np.concatenate([fitted.theta[: projection.base],
-                                       *(own[label] for label in structure.labels),
-                                       projection.noise])
-            start = min((start, searched), key=lambda theta: projection.project(
+            of_search = np.concatenate([fitted.theta[: projection.base],
+                                        *(own[label] for label in structure.labels),
+                                        projection.noise])
+            start = min((start, of_search), key=lambda theta: projection.project(
                 structure, theta, most=0).total)
         return projection.project(structure, start, coarse=True)
 

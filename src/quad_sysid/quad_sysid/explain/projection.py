@@ -170,8 +170,8 @@ class Projection:
         stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
         for k in range(STRETCHES):
             inside = stretch == k
-            trained = self._on(~inside).project(model.structure, model.theta, most=1)
-            as_they_are = self._on(inside).project(model.structure, trained.theta, most=0)
+            other = self._on(~inside).project(model.structure, model.theta, most=1)
+            as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
             missed[inside] = as_they_are.missed
         return missed
 

@@ -36,7 +36,7 @@ Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
 LOGS = ('.ulg', '.bin', '.log', '.bbl', '.bfl')
 """Endings of raw logs, which are read as `quad-sysid import` reads them."""
-PACKED = ('.gz', '.xz', '.bz2')
+COMPRESSED = ('.gz', '.xz', '.bz2')
 BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
 """Parameters of the base that every row holds, by axis."""
 OF_AXIS = ('verdict', 'effects', 'error_before', 'error_after', 'effect_parameters', 'gains',
@@ -166,7 +166,7 @@ def of_records(records: Sequence[Record], aircraft: Sequence[str] = (), out: str
 
 def _is_log(name: str) -> bool:
     path = PurePosixPath(name.lower())
-    return (PurePosixPath(path.stem) if path.suffix in PACKED else path).suffix in LOGS
+    return (PurePosixPath(path.stem) if path.suffix in COMPRESSED else path).suffix in LOGS
 
 
 def _job(place: Place, results: Place, bag: str, names: tuple[str, ...],

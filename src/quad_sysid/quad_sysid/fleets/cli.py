@@ -146,21 +146,21 @@ def _run(options: argparse.Namespace) -> int:
                    log=_log(out, name, options, options.plan))
     fleet = Fleet(rows, options.group_by, options.since, name)
     partial = bool(options.shard or options.plan)
-    written = [] if partial else write(rows, out)
+    files = [] if partial else write(rows, out)
     if not partial:
         out.write(PAGE, fleet.page())
-        written.append(PAGE)
+        files.append(PAGE)
     if options.json:
         print(json.dumps(rows, indent=1))
     elif not options.quiet and not options.plan:
         print(fleet)
         if len(rows) < len(every):
             print(f'\n{len(every) - len(rows)} bags are not done yet')
-        print('\n' + (f'{", ".join(written)} in {out.address}' if written else
+        print('\n' + (f'{", ".join(files)} in {out.address}' if files else
                       f'rows in {out.address}/rows; --merge makes the table of all'))
     if every and not any(row['status'] == ANSWERED for row in rows):
         print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons are in '
-              f'{out.address}/{CSV if written else "rows"}', file=sys.stderr)
+              f'{out.address}/{CSV if files else "rows"}', file=sys.stderr)
         return arguments.NOT_ANSWERED
     return 0
 

@@ -26,7 +26,7 @@ from quad_sysid.fleets.place import Place
 Work = Callable[[Job], Row]
 SAMPLE = 10
 """Bags by which the cost of all is foretold."""
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 """Longest time for a scheduler to answer, and for a first worker to join it."""
 SETTINGS = {
     'distributed.scheduler.allowed-failures': 1,  # a worker that dies: one more try
@@ -184,7 +184,7 @@ def _client(cluster: str, workers: int) -> Iterator[Any]:
         return
     where = {'scheduler_file': cluster} if Path(cluster).is_file() else {'address': cluster}
     try:
-        client = Client(**where, timeout=PATIENCE_S, set_as_default=False)
+        client = Client(**where, timeout=TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise BadInputError('--cluster', 'cannot be reached', cluster,
                             'name a scheduler such as tcp://host:8786, its file, or local'
@@ -196,7 +196,7 @@ def _client(cluster: str, workers: int) -> Iterator[Any]:
 def _compare(client: Any, job: Job) -> None:
     """Raise BadInputError where a worker differs from here, or sees other bags or results."""
     try:
-        client.wait_for_workers(1, timeout=PATIENCE_S)
+        client.wait_for_workers(1, timeout=TIMEOUT_S)
     except TimeoutError:
         raise BadInputError('--cluster', 'has no worker', remedy='start some: dask worker ADDRESS'
                             ) from None

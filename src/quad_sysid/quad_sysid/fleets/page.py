@@ -212,12 +212,12 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
             values.setdefault(name, {})[row['bag']] = float(entry['value']), float(entry['std'])
             if entry.get('vanishes'):
                 vanishing.add(name)
-    searched = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']
+    bags = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']
     for name in vanishing:
         some = values[name].values()
         unsure = max(float(np.median([std for _, std in some])),
                      min(abs(value) for value, _ in some) / 2.0)
-        values[name] |= {bag: (0.0, unsure) for bag in searched if bag not in values[name]}
+        values[name] |= {bag: (0.0, unsure) for bag in bags if bag not in values[name]}
     return units, values
 
 

@@ -51,7 +51,7 @@ POLES = 14.0
 PULSE_US = (1000.0, 2000.0)
 """Pulses of no and of full throttle, µs."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
-FEWEST = 200
+MIN_ROWS = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
@@ -187,7 +187,7 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
         return
     on = np.flatnonzero(phase.values[:, 0] > 0.0)
     for rows in apart(on, phase.time_s):
-        if rows.size < FEWEST:
+        if rows.size < MIN_ROWS:
             continue
         times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
         wave = np.column_stack([np.sin(angle), np.cos(angle)])
@@ -299,7 +299,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in FIELDS]
         with _events() as events:
             rows, faults = _frames(parser, places, len(names), events)
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_ROWS:
         what = 'holds no frames' if not len(rows) else 'holds too few frames'
         raise BadInputError(
             str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),

@@ -211,13 +211,13 @@ def _number_repeated(layout: _Layout) -> None:
         if times == 1:
             continue
         places = [i for i, other in enumerate(layout.names) if other == name]
-        fresh = [f'{name}[{k}]' for k in range(times)]
-        if set(fresh) & set(layout.names):
-            fresh = [f'{name} #{k + 1}' for k in range(times)]
-        for place, new in zip(places, fresh, strict=True):
+        new_names = [f'{name}[{k}]' for k in range(times)]
+        if set(new_names) & set(layout.names):
+            new_names = [f'{name} #{k + 1}' for k in range(times)]
+        for place, new in zip(places, new_names, strict=True):
             layout.names[place] = new
         layout.notes.append(f'{times} columns are called {name}: they are named '
-                            f'{", ".join(fresh)} in their order')
+                            f'{", ".join(new_names)} in their order')
 
 
 def _splitter(header: str) -> Callable[[Iterable[str]], Iterator[list[str]]]:

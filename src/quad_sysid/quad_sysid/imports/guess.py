@@ -214,13 +214,13 @@ def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - optio
     forces = _triples([n for n in free if not NO_FORCE.search(spaced(n))], FORCE)
     if forces := [triple for triple in forces if all(triple) and _has_weight(table, triple)]:
         take('acceleration', forces[0])
-    ordered = {option: columns[option] for option in OPTIONS if option in columns}
+    sorted_columns = {option: columns[option] for option in OPTIONS if option in columns}
     units = {
-        name: unit for option, names in ordered.items()
+        name: unit for option, names in sorted_columns.items()
         for name, unit in zip(filter(None, names), likely_units(table, option, names), strict=True)
         if unit and header_unit(name, OPTIONS[option].role) != unit
     }
-    return Guess(ordered, _importable(columns), units, bool(time or table.times))
+    return Guess(sorted_columns, _importable(columns), units, bool(time or table.times))
 
 
 def _has_weight(table: Table, triple: Triple) -> bool:

@@ -396,16 +396,16 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
         )
     missing, external = np.full(n, np.nan), record.external(axis)
     # rows from one known sample to the next, whatever rounding makes of a whole number of them
-    apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
+    max_gap = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
     other_motion = [_rate_and_angle(record, name) for name in entry.others]
     return {
-        'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
+        'rate': across_gaps(np.where(is_finite, rate, np.nan), max_gap),
         'lost': ~is_finite, 'uncommanded': ~np.isfinite(control[:, entry.index + 1]),
         'angle': missing if motion.position is None else motion.position,
         'other_angles': np.column_stack([position for _, position in other_motion]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_gaps(np.column_stack([rate for rate, _ in other_motion]), apart),
+        'other_rates': across_gaps(np.column_stack([rate for rate, _ in other_motion]), max_gap),
         'battery_v': missing if record.battery_v is None else record.battery_v,
         'reference': missing if external is None else external,
     }

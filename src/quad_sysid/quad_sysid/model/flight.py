@@ -323,8 +323,8 @@ class Flight:
         out = np.empty((s.rate.size, theta.size))
         for j in set(range(theta.size)) - set(linear):
             shift = FINER * np.diag(steps)[j]
-            shifted = natural(effect.parameters, theta + shift)
-            after = effect.torque(self.hidden(part, s, shifted), shifted, settings)
+            perturbed = natural(effect.parameters, theta + shift)
+            after = effect.torque(self.hidden(part, s, perturbed), perturbed, settings)
             out[:, j] = (required(after) - torque) / shift[j]
         if linear:
             p[linear] = 0.0
@@ -341,8 +341,8 @@ class Flight:
         earlier, here, later = (self._advanced(self.data.rate, sign * reach)
                                 for sign in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
-        explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
-        return (later - earlier) / (2.0 * reach * dt) - explained
+        modelled = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
+        return (later - earlier) / (2.0 * reach * dt) - modelled
 
     # ------------------------------------------------------------------------ the filter
 
@@ -413,9 +413,9 @@ class Flight:
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
         filters_here, point = flat(steady), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, point.size):
-            shifted = point + SMALL * (np.arange(point.size) == j)
-            shifted_filters = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
-            out[:, j if j < theta.size else 3] = (shifted_filters - filters_here) / SMALL
+            perturbed = point + SMALL * (np.arange(point.size) == j)
+            perturbed_filters = flat(self.filters_of(structure, perturbed[:-1], perturbed[-1]))
+            out[:, j if j < theta.size else 3] = (perturbed_filters - filters_here) / SMALL
         return [*out]
 
     def _follow(

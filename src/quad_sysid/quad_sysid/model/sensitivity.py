@@ -76,16 +76,16 @@ class Sensitivity:
                              for j in range(where.start, where.stop))]
         started = self._initial(p, range(count), bent)
         for j, step in enumerate(steps):
-            shifted_theta = self.theta.copy()
-            shifted_theta[j] += step
-            q = structure.natural(shifted_theta)
-            shifted = self._passed(q) if j in bent else here
-            more, later = self._forces(shifted, q)
+            perturbed_theta = self.theta.copy()
+            perturbed_theta[j] += step
+            q = structure.natural(perturbed_theta)
+            perturbed = self._passed(q) if j in bent else here
+            more, later = self._forces(perturbed, q)
             columns[:, j] = (more - force) / step
             forward[:, first:, j] = (later - following).T / step
             initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
-                difference = (shifted[0] - halves) / step
+                difference = (perturbed[0] - halves) / step
                 bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends

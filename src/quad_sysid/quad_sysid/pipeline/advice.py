@@ -74,10 +74,10 @@ def _excitation(train: IOData, rows: Sequence[ModelRow]) -> Iterator[str]:
 
 
 def _beyond(train: IOData, held_out: IOData) -> Iterator[str]:
-    trained, needed = (high(z.inside(z.y)) for z in (train, held_out))
-    if needed > FURTHER * trained:
+    low, reach = (high(z.inside(z.y)) for z in (train, held_out))
+    if reach > FURTHER * low:
         yield (
-            f'the held-out rates reach {needed:.2g} rad/s, those of the training {trained:.2g}: '
+            f'the held-out rates reach {reach:.2g} rad/s, those of the training {low:.2g}: '
             'there every effect is extrapolated; train on motion as large as the model has to '
             'predict'
         )

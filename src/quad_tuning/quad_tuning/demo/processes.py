@@ -73,7 +73,7 @@ def _in_use(domain: int, offset: int, sockets: contextlib.ExitStack, host: str =
     return False
 
 
-STOP_PATIENCE_S = 8.0
+STOP_TIMEOUT_S = 8.0
 """How long a process may take to end after SIGINT before it is killed."""
 
 
@@ -200,7 +200,7 @@ class Crew:
         running = [child for child in chosen if not child.ended]
         for child in running:
             _signal_group(child, signal.SIGINT)
-        deadline = time.monotonic() + STOP_PATIENCE_S
+        deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in running:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.process.wait(max(0.0, deadline - time.monotonic()))

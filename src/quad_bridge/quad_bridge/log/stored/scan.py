@@ -55,8 +55,8 @@ _UNPACK: dict[bytes, Callable[[bytes], bytes]] = {
 """Decompressors by the name of the compression in MCAP."""
 _UNPACK_PART: dict[bytes, Callable[[bytes], bytes]] = {
     b'': bytes,
-    b'zstd': lambda packed: zstd.ZstdDecompressor().decompress(packed),
-    b'lz4': lambda packed: lz4.frame.LZ4FrameDecompressor().decompress(packed),
+    b'zstd': lambda compressed: zstd.ZstdDecompressor().decompress(compressed),
+    b'lz4': lambda compressed: lz4.frame.LZ4FrameDecompressor().decompress(compressed),
 }
 """Decompressors for content whose end is missing."""
 
@@ -228,13 +228,13 @@ class McapScan:
 
     def _cut_off(self, position: int) -> bytes:
         """Whole messages of the last chunk, if its end is missing or was never written."""
-        name, packed = _packed(self.data, position, len(self.data))
-        written, content = packed.rstrip(b'\0'), b''
-        present = len(self.data) - position - RECORD.size - (len(packed) - len(written))
-        if not written or RECORD.unpack_from(self.data, position)[1] <= present:
+        name, compressed = _compressed(self.data, position, len(self.data))
+        body, content = compressed.rstrip(b'\0'), b''
+        present = len(self.data) - position - RECORD.size - (len(compressed) - len(body))
+        if not body or RECORD.unpack_from(self.data, position)[1] <= present:
             return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
-            content = bytes(_UNPACK_PART[name](written))
+            content = bytes(_UNPACK_PART[name](body))
         *_, checksum, _ = CHUNK_HEAD.unpack_from(self.data, position + RECORD.size)
         if not checksum or zlib.crc32(content) != checksum:  # else the compression's end is cut
             self.unchecked = sum(opcode == MESSAGE for opcode, _ in _split(content))
@@ -255,7 +255,7 @@ class McapScan:
         return self.unnamed if self.stated is None else max(self.stated - self.returned, 0)
 
 
-def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
+def _compressed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
     """Compression's name and compressed content of a chunk."""
     start = position + RECORD.size + CHUNK_HEAD.size
     if start > end:
@@ -267,10 +267,10 @@ def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
 def _content(data: Data, position: int, end: int, *, unchecked: bool) -> bytes | None:
     """The records of a chunk, None where they are damaged; `unchecked`: without a checksum too."""
     *_, checksum, _ = CHUNK_HEAD.unpack_from(data, position + RECORD.size)
-    name, packed = _packed(data, position, end)
+    name, compressed = _compressed(data, position, end)
     if checksum or unchecked:
         with suppress(*UNPACK_ERRORS, KeyError):
-            content = bytes(_UNPACK[name](packed))
+            content = bytes(_UNPACK[name](compressed))
             return content if not checksum or zlib.crc32(content) == checksum else None
     return None
 
