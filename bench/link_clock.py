@@ -130,7 +130,7 @@ def run(case: dict[str, float], seconds: float, seed: int) -> dict[str, float]:
         'rms_ms': float(np.sqrt(np.mean(errors**2))),
         'max_ms': float(np.abs(errors).max()),
         'backwards': int((steps <= 0).sum()),
-        'held': stamping.held,
+        'held': stamping.withheld,
         'over_2_ms': int((np.abs(errors) > 2.0).sum()),
         'restarts': stamping.clock.restarts,
         'wraps': stamping.device_time.wraps,

@@ -66,7 +66,7 @@ def quickly() -> Callable[[], AbstractContextManager[None]]:
         few = partial(ensemble.build, count=ensemble.DRAWS // 4)
         with (
             mock.patch('quad_sysid.pipeline.identify._black_boxes', return_value='left out'),
-            mock.patch.multiple('quad_tuning.pid', STARTS=1, JUDGED=20, GRID=(5, 7, 2, 4, 3)),
+            mock.patch.multiple('quad_tuning.pid', STARTS=1, SHORTLIST=20, GRID=(5, 7, 2, 4, 3)),
             mock.patch.object(ensemble, 'build', few),
         ):
             yield

@@ -30,7 +30,7 @@ from functools import partial
 from quad_sysid.pipeline import identify
 from quad_tuning import ensemble, pid
 identify._black_boxes = lambda *_: 'left out'
-pid.STARTS, pid.JUDGED, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
+pid.STARTS, pid.SHORTLIST, pid.GRID = 1, 20, (5, 7, 2, 4, 3)
 ensemble.build = partial(ensemble.build, count=ensemble.DRAWS // 4)
 """
 """What the fixture `quickly` does, for another process: run before it begins."""

@@ -131,7 +131,7 @@ def test_climb_near_the_ground_names_it():
     found = answer(GROUND, 'climb')
     tree, model = found.report['axes']['climb'], found.answer.model
     assert [*not_in_the_loop(model)] == ['ground_effect']
-    assert abs(loop_plant(model).held) < 1e-6
+    assert abs(loop_plant(model).rest_acceleration) < 1e-6
     assert [effect['name'] for effect in tree['effects']] == ['ground_effect']
     radius, ground = tree['effects'][0]['parameters']
     assert (radius['unit'], ground['unit']) == ('m', 'm')
@@ -252,7 +252,8 @@ def test_a_hold_of_the_altitude_flies_as_with_the_found_model(climbed):
     wanted, gust = np.where(np.arange(n) * plant.dt < 1.0, 0.0, 0.5), round(6.0 / plant.dt)
     push = np.zeros(n)
     push[gust] = 0.4 / plant.dt
-    said = simulate_cascade(plant, gains, wanted, plant.dt, disturbance=push - plant.held)
+    said = simulate_cascade(plant, gains, wanted, plant.dt,
+                            disturbance=push - plant.rest_acceleration)
 
     profile = replace(load_profile('plain'), mount='hover', pilot=Pilot(0.0, 0.0))
     aircraft = Aircraft(profile, seed=7)
@@ -285,7 +286,7 @@ def test_designed_gains_hold_the_position_as_with_the_found_model():
     wanted, gust = np.where(np.arange(n) * dt < 1.0, 0.0, 1.0), round(12.0 / dt)
     push = np.zeros(n)
     push[gust] = 0.5 / dt
-    said = simulate_cascade(plant, gains, wanted, dt, disturbance=push - plant.held)
+    said = simulate_cascade(plant, gains, wanted, dt, disturbance=push - plant.rest_acceleration)
 
     aircraft = Aircraft(replace(load_profile('plain'), mount='hover'), seed=7)
     state, given = aircraft.machine.state, inputs(aircraft, [], round(250.0 * dt))

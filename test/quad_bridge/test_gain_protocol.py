@@ -230,7 +230,7 @@ MOVES = {
 def connected(monkeypatch):
     """A world in which all was read; fewer tries, for fewer states."""
     monkeypatch.setattr(protocol, 'TRIES', 2)
-    monkeypatch.setattr(protocol, 'STUBBORN_TRIES', 3)
+    monkeypatch.setattr(protocol, 'SAFETY_TRIES', 3)
     world = World()
     for _ in range(10):
         for name in ('arrives up', 'arrives down', 'tick'):

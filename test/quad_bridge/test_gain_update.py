@@ -302,7 +302,7 @@ def test_no_state_and_no_event_lets_an_ungated_set_fly(tmp_path, monkeypatch, mo
 
     monkeypatch.setattr(type(walk.gains.protocol), 'write', gated)
     for module, short in (
-        (protocol, {'TRIES': 2, 'STUBBORN_TRIES': 3}),
+        (protocol, {'TRIES': 2, 'SAFETY_TRIES': 3}),
         (update, {'STEP_WATCH_S': 1.0, 'WATCH_S': 2.0, 'STM32_WATCH_MS': 4000}),
     ):  # fewer states
         for name, value in short.items():

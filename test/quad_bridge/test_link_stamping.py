@@ -6,7 +6,7 @@ Whatever happens, no stamp is off by a millisecond or more, and none runs backwa
 import pytest
 from flight_controller import CYCLE_NS, HOST0_NS, FlightController, Line, sticks
 
-from quad_bridge.link.guards import PATIENCE_NS
+from quad_bridge.link.guards import TIMEOUT_NS
 from quad_bridge.wire import frames as f
 
 
@@ -24,7 +24,7 @@ class Story(Line):
         super().__init__(FlightController(also=also, bits=bits))
         self.controller.clock_us = clock_us
         self.fly(seconds)
-        self.begun, self.since_restart = self.link.stamping.held, 0
+        self.begun, self.since_restart = self.link.stamping.withheld, 0
         self.cycles_before = self.link.cycles
         self.out = []
 
@@ -158,7 +158,7 @@ def test_every_stamp_is_true_whatever_happens(steps, said):
     off = [e for e in line.errors_ms() if abs(e) > 1.0]
     assert len(off) == said.get('off', 0)
     assert max(map(abs, [*line.errors_ms(), *line.sticks_off_ms()])) < said.get('off_ms', 1.0)
-    (low, high), held = said.get('held', (0, 0)), stamping.held - line.begun
+    (low, high), held = said.get('held', (0, 0)), stamping.withheld - line.begun
     assert low <= held <= high
     assert 'also' not in said or len(line.out) + held == link.cycles - line.cycles_before
     assert link.decoder.counts.restarts == said.get('restarts', 0)
@@ -179,5 +179,5 @@ def test_what_comes_late_beside_no_cycle_waits_no_longer_than_patience():
         line.hear(line.controller.encode(f.RcChannels(us // 1000, (1500,) * 9)))
         line.attend()
         waiting.append(k + 1 - len(line.out))
-    assert max(waiting) <= 2 * PATIENCE_NS / (5 * CYCLE_NS) + 2
+    assert max(waiting) <= 2 * TIMEOUT_NS / (5 * CYCLE_NS) + 2
     assert len(line.out) > 465

@@ -127,10 +127,10 @@ def test_the_band_is_what_the_segments_can_tell_and_the_screen_says_so():
     assert reachable(BAND, 0.1) == (20.0, 20.0)
     x, y = answered(40.0, 0.05, 1)
     state = State(target_band=BAND, validated_s=12.0)
-    assert state.wanted(BAND) == BAND
+    assert state.reachable_band(BAND) == BAND
     state.entries['excitation: schedule'] = Entry(0, 'running', {'train_s': '40'}, 100.0)
-    assert state.wanted(BAND) == (low, high)
-    state.coverage = coverage([(x, y)], DT, state.wanted(BAND))
+    assert state.reachable_band(BAND) == (low, high)
+    state.coverage = coverage([(x, y)], DT, state.reachable_band(BAND))
     assert state.call(10.0) == 'stop now: 0.25 to 20 rad/s covered'
     shown = '\n'.join(state.lines(100.0))
     assert '0.25 to 20 of 0.25 to 20 rad/s' in shown

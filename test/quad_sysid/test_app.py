@@ -28,7 +28,7 @@ from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
 from quad_sysid.app.folder import RefusedError, entries, new_file, receive
-from quad_sysid.app.jobs import KEPT, Job, Queue, expected
+from quad_sysid.app.jobs import JOB_FILE, Job, Queue, expected
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE
 from quad_sysid.files import UNFINISHED
@@ -239,7 +239,7 @@ def test_menus_become_options_and_earlier_jobs_say_how_long_one_takes(tmp_path):
     (tmp_path / 'flight.csv').write_bytes(bytes(1000))
     for number, seconds in ((1, 2.0), (2, 4.0), (3, 30.0)):
         (tmp_path / f'{number}').mkdir()
-        (tmp_path / f'{number}' / KEPT).write_text(json.dumps({
+        (tmp_path / f'{number}' / JOB_FILE).write_text(json.dumps({
             'arguments': ['look'], 'state': 'done', 'size': 500, 'seconds': seconds}))
     job = Job(4, '', 'quad-sysid', ('look', str(tmp_path / 'flight.csv')), tmp_path / '4')
     assert expected(job) == pytest.approx(8.0)
@@ -297,10 +297,10 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     assert 'log.bin' in made.doing
     assert after.doing == f'import log.bin: {made.doing}'
     assert after.text().splitlines() == [after.doing]
-    note = after.folder / KEPT
+    note = after.folder / JOB_FILE
     note.write_text(note.read_text().replace('"failed"', '"running"'))  # as a kill leaves it
     (made.folder.parent / 'other').mkdir()
-    (made.folder.parent / 'other' / KEPT).write_text('{}')
+    (made.folder.parent / 'other' / JOB_FILE).write_text('{}')
     later, earlier = Queue(tmp_path / 'results').all()
     assert (earlier.title, earlier.state, earlier.text()) == (made.title, 'failed', made.text())
     assert (later.state, later.doing) == ('stopped', 'the app ended first: start it again')
@@ -546,6 +546,22 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     assert browser.fits(390)
     browser.send('Page.navigate', url=(model.parent / 'report.html').as_uri())
     browser.until("document.querySelectorAll('figure svg text').length > 0")
+    # on paper the bars of the ladder keep their ink, and nothing asks to be pressed
+    browser.send('Emulation.setEmulatedMedia', media='print')
+    assert browser.run("""(() => {
+        const of = name => getComputedStyle(document.querySelector(name));
+        return of('.answer').webkitPrintColorAdjust === 'exact'
+            && of('button').display === 'none';
+        })()""")
+    browser.send('Emulation.setEmulatedMedia', media='')
+    # however large the motion, two values at least are written beside each row
+    assert browser.run("""(() => { const {group} = document.querySelector('.zoom'); let fewest = 9;
+        for (const factor of [1, 1.3, 1.3, 1.3, 1.3, 1.3, 1.3]) for (const row of group.rows) {
+            let count = 0; const g = row.canvas.getContext('2d'), fill = g.fillText;
+            g.fillText = (...one) => { count += g.textAlign === 'right'; fill.apply(g, one); };
+            row.row.lines.forEach(line => { line.scale *= factor; line.offset *= factor; });
+            group.paint(row); g.fillText = fill; fewest = Math.min(fewest, count); }
+        return fewest; })()""") >= 2
     for width, dark in ((1280, False), (520, True)):
         assert browser.fits(width, dark=dark)
         assert browser.run("""Math.min(...[...document.querySelectorAll('figure svg')].map(
@@ -593,7 +609,9 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
         started, browser, tmp_path, plain_bag):
     (tmp_path / 'flights').mkdir()
     process, server = started(tmp_path / 'flights')
-    for name, content in (('a.csv', 't\n'), ('notes.doc', 'x'), ('big.bin', 'x' * 1_100_000)):
+    long = tmp_path / f'{40 * "long"}.csv'
+    for name, content in ((long, 't\n'), ('a.csv', 't\n'), ('notes.doc', 'x'),
+                          ('big.bin', 'x' * 1_100_000)):
         (tmp_path / name).write_text(content)
     for url in (server.address, started(tmp_path)[1].address):  # and the app of another folder
         browser.send('Page.navigate', url=url)
@@ -613,6 +631,9 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     assert browser.run(f"{said}.includes('a.csv is there')")
     drop(tmp_path / 'a.csv')
     browser.until(f"{said}.includes('a.csv is there as a_2.csv')")
+    drop(long)
+    browser.until(f"{said}.includes('{long.name} is there')")
+    assert browser.fits(390)
     drop(plain_bag)  # a folder
     browser.until(f"{said}.includes('.mcap')")
     process.end()

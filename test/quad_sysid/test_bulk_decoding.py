@@ -74,5 +74,5 @@ def test_bulk_equals_one_by_one(msgtype):
         raws = serialised(np.random.default_rng(seed), msgtype)
         got = cdr.decode(msgtype, raws)
         stamps, values, bad = one_by_one(msgtype, raws)
-        assert (got.stamps.tolist(), got.spoiled) == (stamps, bad), seed
+        assert (got.stamps.tolist(), got.unreadable) == (stamps, bad), seed
         np.testing.assert_array_equal(got.values.view(np.uint64), values.view(np.uint64))

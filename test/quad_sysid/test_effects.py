@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 
 from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.discover.base import best_base
-from quad_sysid.discover.constants import BELIEVED
+from quad_sysid.discover.constants import PRIOR_SIGMAS
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import extended
 from quad_sysid.effects import EFFECTS
@@ -574,7 +574,7 @@ def test_near_the_ground_thrust_at_most_doubles():
         law = 1.0 / (1.0 - (0.25 * radius / height[far]) ** 2) - 1.0
         np.testing.assert_allclose(gained[far & (height >= 0.1)], law[height[far] >= 0.1])
     farming = (0.25 * 1.4) ** 2  # four propellers of 54 inches
-    assert farming < 0.6 * BELIEVED * ground.parameters[0].spread
+    assert farming < 0.6 * PRIOR_SIGMAS * ground.parameters[0].spread
 
 
 def test_a_memory_begins_with_its_flight_whatever_part_of_it_is_fitted_or_judged():

@@ -14,7 +14,7 @@ from quad_sysid.discover.screen import candidates
 from quad_sysid.discover.search import Scored, SearchResult
 from quad_sysid.effects import EFFECTS
 from quad_sysid.estimate.fit import covariance, derivative_steps, fit
-from quad_sysid.explain.ladder import Ladder, Models, _believed, _Climb, explain, resampled
+from quad_sysid.explain.ladder import Ladder, Models, _Climb, _within_prior, explain, resampled
 from quad_sysid.explain.projection import Projected, Projection
 from quad_sysid.model.effect import Part
 from quad_sysid.model.sensitivity import Sensitivity
@@ -76,7 +76,7 @@ def test_a_law_is_no_rung_with_parameters_that_its_prior_does_not_allow(
     start = coordinates(sag.parameters, [exponent], 1e-9)
     base = rubbed_answer.findings.search.base.theta
     model = SimpleNamespace(structure=structure, theta=np.insert(base, [-4], start))
-    assert _believed(model) is believed
+    assert _within_prior(model) is believed
 
 
 def drag_and_friction(told):
@@ -198,7 +198,7 @@ def test_a_rung_falls_out_and_leaves_the_others_and_the_axis(rubbed_answer, monk
         monkeypatch.setattr(Models, 'follows', lambda _, model: model.structure.labels[-1:]
                             != ('coulomb_friction',))
     else:
-        monkeypatch.setattr('quad_sysid.explain.ladder.BELIEVED', 1e-3)
+        monkeypatch.setattr('quad_sysid.explain.ladder.PRIOR_SIGMAS', 1e-3)
     ladder = explain(told.problem, told.search, parts)
     assert len(ladder.rungs) > 1
     assert not any(rung.labels == ('coulomb_friction',) for rung in ladder.rungs[:-1])

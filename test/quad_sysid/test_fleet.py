@@ -178,7 +178,7 @@ def test_a_cluster_that_differs_is_refused_before_the_first_bag(folder, tmp_path
     assert 'tcp://there:1: its numpy is not as here: found 1.0' in refusal(
         engine._compare, Client(), job)
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(engine, 'PATIENCE_S', 0.2)
+    monkeypatch.setattr(engine, 'TIMEOUT_S', 0.2)
     assert 'cannot be reached' in refusal(
         engine.run, [job], cluster='tcp://127.0.0.1:1')
 

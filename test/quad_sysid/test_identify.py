@@ -195,7 +195,7 @@ def test_the_filter_takes_the_rate_over_where_commands_were_lost(
             values[at : at + 10] = np.nan
     data = axis_data([replace(plain_flight, motors=None, **torn)], 'roll')
     data = replace(data, derived_s=0.01 if angle_only else None)
-    assert Flight(data, [(0, 2600)]).caught.sum() == cycles * len(range(500, 2500, every))
+    assert Flight(data, [(0, 2600)]).follows_gyro.sum() == cycles * len(range(500, 2500, every))
 
 
 def test_nothing_measured_inside_a_window_is_used_there(plain_flight, true_model):

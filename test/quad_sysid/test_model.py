@@ -15,11 +15,11 @@ from quad_sysid.discover.base import best_base, both_orders
 from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Scored, SearchResult, extended, search
 from quad_sysid.effects import EFFECTS
-from quad_sysid.effects.events import Held, PeriodicDelay
+from quad_sysid.effects.events import PeriodicDelay, SampleAndHold
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
-from quad_sysid.explain.ladder import Models, _believed
+from quad_sysid.explain.ladder import Models, _within_prior
 from quad_sysid.explain.projection import Projected
 from quad_sysid.model.data import axis_data, slice_of
 from quad_sysid.model.effect import Part, required
@@ -277,7 +277,7 @@ def test_an_event_is_as_probable_however_late_the_excitation_began(monkeypatch):
         score = score_of(problem, base, 'step_event/torque')
         found = extended(problem, base, score)
         assert found.values[5] == pytest.approx(begin + 7.27, abs=0.05)
-        assert _believed(Projected(found.structure, found.theta, np.zeros(0)))
+        assert _within_prior(Projected(found.structure, found.theta, np.zeros(0)))
         evidence.append(found.evidence - base.evidence)
     assert evidence[0] > 20.0
     assert evidence[0] - evidence[1] < math.log(late / 30.0) + 1.0
@@ -306,7 +306,7 @@ def test_a_delay_by_another_clock_is_the_same_in_segments_that_are_joined():
     at = np.concatenate([np.arange(a + 20, b - 20) for a, b in spans])
     here = np.concatenate([np.arange(20, 980), np.arange(1020, 1980)])
     for effect, p in ((PeriodicDelay(), np.r_[1.3, np.full(12, 0.002)]),
-                      (Held(), np.array([47.0, 0.4]))):
+                      (SampleAndHold(), np.array([47.0, 0.4]))):
         base = np.array([450.0, 0.0, 0.02, 0.4, 0.0])
         one, other = (Flight(d, d.stretches).driven(Structure((Part(effect),)), np.r_[base, p])[0]
                       for d in (whole, torn))
@@ -395,6 +395,6 @@ def test_of_both_orders_of_lag_and_damping_the_likelier_is_taken(monkeypatch, le
 
     monkeypatch.setattr('quad_sysid.discover.base.fitted_from', refitted)
     monkeypatch.setattr(Fit, 'rate', None)
-    chosen = both_orders(SimpleNamespace(held_terms=[]), quick)
+    chosen = both_orders(SimpleNamespace(zero_terms=[]), quick)
     assert (chosen.value('lag') * chosen.value('damping') > 1.0) is (lead > 0.0)
     assert chosen.value('gain') / chosen.value('lag') == pytest.approx(160.0 / 0.05)

@@ -298,7 +298,7 @@ def test_in_small_motion_the_loop_is_the_plant(effect):
     loops = loops_of([(flying, STILL)])
     u = 1e-8 * np.repeat([0.0, 1.0, -1.0, 1.0, 0.0], 30)
     still, moved = (
-        simulate_cascade(flying, NO_GAINS, 0.0 * u, DT, disturbance=-flying.held,
+        simulate_cascade(flying, NO_GAINS, 0.0 * u, DT, disturbance=-flying.rest_acceleration,
                          control_excitation=given).rate for given in (0.0 * u, u)
     )
     expected, x = np.zeros(u.size), np.zeros(loops.b.shape[1])

@@ -133,14 +133,14 @@ def test_the_designed_height_mode_flies_as_the_design_says_and_better(climb):
         t, z, v = flight.time_s, flight.position_m[:, 2], flight.velocity_m_s[:, 2]
         sank = z[(t >= 20.0) & (t < 26.0)]
         said = simulate_cascade(plant, gains, np.zeros(sank.size), CYCLE_S,
-                                disturbance=-plant.held,
+                                disturbance=-plant.rest_acceleration,
                                 control_excitation=np.full(sank.size, -0.03))
         largest = np.abs(said.angle).max()
         assert sank - sank[0] == pytest.approx(said.angle, abs=0.002 + 0.05 * largest)
         sinks.append(largest)
         rate = v[(t >= 10.0) & (t < 12.0)]
         said = simulate_cascade(plant, dataclasses.replace(gains, angle_kp=0.0),
-                                np.zeros(rate.size), CYCLE_S, disturbance=-plant.held,
+                                np.zeros(rate.size), CYCLE_S, disturbance=-plant.rest_acceleration,
                                 rate_excitation=np.full(rate.size, 0.5))
         assert rate == pytest.approx(said.rate, abs=0.05 * 0.5)
         rises.append(np.argmax(rate > 0.45) - np.argmax(rate > 0.05))

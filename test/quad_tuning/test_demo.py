@@ -22,7 +22,7 @@ def python(source: str) -> list[str]:
 def test_leaving_stops_all_and_one_that_ignores_sigint_is_killed_with_its_children(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, 'STOP_PATIENCE_S', 0.3)
+    monkeypatch.setattr(processes, 'STOP_TIMEOUT_S', 0.3)
     grandchild = tmp_path / 'grandchild'
     source = (
         'import os, signal, subprocess, sys\n'

@@ -59,7 +59,7 @@ def test_the_firmware_forms_the_command_that_the_design_has_analysed(profile, pr
         raw, own = c.command(own, flight.rates[k, 0], error)
         u = min(max(raw, -0.3), 0.3)
         assert flight.wrench[k, 1] == pytest.approx(u, abs=1e-6)
-        own = c.moved(own, error, u, held=abs(u) >= 0.3)
+        own = c.moved(own, error, u, limited=abs(u) >= 0.3)
 
 
 def test_it_comes_in_by_quarters_and_goes_out_without_a_jump(profile, proposal):

@@ -87,7 +87,7 @@ BESIDE = """
     side_by_side([here, beside])"""
 """Neither a process, whose output would stay open, nor what is half written is left."""
 HELD = """
-    with interrupt.held():
+    with interrupt.uninterrupted():
         interrupted()
         Path('done').touch()"""
 

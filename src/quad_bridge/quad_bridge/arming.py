@@ -38,26 +38,26 @@ class OperatorEnable:
     def __init__(self, *, required: bool) -> None:
         self.required = required
         self.refused, self.reason = 0, ''  # messages with a stamp of another time, and the last
-        self._held_s = self._heard_s = -math.inf
+        self._held_s = self._last_s = -math.inf
 
     def take(self, age_s: float, now_s: float) -> None:
         """Take a message that was stamped `age_s` ago."""
-        self.reason, self._heard_s = stale(age_s), now_s
+        self.reason, self._last_s = stale(age_s), now_s
         if self.reason:
             self.refused += 1
             return
         self._held_s = max(self._held_s, now_s - max(age_s, 0.0))
         self.required = True
 
-    def held(self, now_s: float) -> bool:
+    def is_held(self, now_s: float) -> bool:
         """Whether somebody holds it, required or not."""
         return now_s - self._held_s <= HELD_S
 
     def fault(self, now_s: float) -> str:
         """Why excitation and arming are refused now; empty if they are allowed."""
-        if not self.required or self.held(now_s):
+        if not self.required or self.is_held(now_s):
             return ''
-        if self.reason and now_s - self._heard_s <= HELD_S:  # else nobody says anything any more
+        if self.reason and now_s - self._last_s <= HELD_S:  # else nobody says anything any more
             return f'/operator/enable: {self.reason}'
         return f'/operator/enable is silent: publish to it every {HELD_S / 2.5:g} s'
 

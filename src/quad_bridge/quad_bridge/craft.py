@@ -141,7 +141,7 @@ class Craft:
         `signs` gives 1, -1 or 0 for each of `motor_1` to `motor_n` and each axis that is known.
         """
         words, faults = {}, []
-        for k, (name, wanted) in enumerate(zip(self.places, self.signs, strict=True), 1):
+        for k, (name, expected) in enumerate(zip(self.places, self.signs, strict=True), 1):
             known = signs.get(f'{JOINT}{k}', {})
             level = [axis for axis in known if axis != 'yaw']
             fits = dict.fromkeys(
@@ -149,7 +149,7 @@ class Craft:
                 if all(known[axis] == row[AXES.index(axis)] for axis in level)
             )
             here = words[f'{JOINT}{k}'] = ' or '.join(fits) if known else 'unknown'
-            bad = [axis for axis, sign in known.items() if sign != wanted[AXES.index(axis)]]
+            bad = [axis for axis, sign in known.items() if sign != expected[AXES.index(axis)]]
             if set(bad) & set(level):
                 faults.append(f'{JOINT}{k} drives the {here or "wrong place"}, must be the {name}')
             elif bad:
@@ -457,6 +457,6 @@ def of_betaflight(parameters: Mapping[str, float | str]) -> Craft | str:
     if motors is None:
         return f'the motors of the mixer {mixer} are not known'
     out = str(parameters.get('yaw_motors_reversed', 0)).strip().upper() in {'1', '1.0', 'ON'}
-    turned = tuple(replace(m, spin=-m.spin) for m in motors) if out else motors
-    return Craft(f"Betaflight's {mixer}, propellers {'out' if out else 'in'}", turned,
+    reversed_motors = tuple(replace(m, spin=-m.spin) for m in motors) if out else motors
+    return Craft(f"Betaflight's {mixer}, propellers {'out' if out else 'in'}", reversed_motors,
                  nominal=True)

@@ -71,11 +71,11 @@ class ExcitationRelay:
             if running or self.injection is not Injection.NONE:  # else it changes nothing anyway
                 self._drop(f'segment: {late}')
             return None
-        wanted = INJECTIONS.get(str(parameters.get('injection', '')))
+        injection = INJECTIONS.get(str(parameters.get('injection', '')))
         if parameters.get('axis') == 'climb':  # the third of the values
-            wanted = Injection.THRUST if wanted is Injection.CONTROL else None
+            injection = Injection.THRUST if injection is Injection.CONTROL else None
         previous, self._lost = self.injection, False
-        self.injection = wanted if running and wanted is not None else Injection.NONE
+        self.injection = injection if running and injection is not None else Injection.NONE
         end = self._aircraft().abort() if Injection.NONE in {previous, self.injection} else None
         self._aircraft().segment(parameters if self.injection is not Injection.NONE else None)
         return end

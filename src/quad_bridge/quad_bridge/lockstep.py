@@ -130,7 +130,7 @@ class Participant(Clock):
         self._sent: Mapping[str, int] = {}
         self._handled: dict[str, int] = {}
         self._published: dict[str, int] = {}
-        self._held = self._closed = self._stepping = False
+        self._on_hold = self._closed = self._stepping = False
         self._answered = ''
         threading.Thread(target=self._run, name='lockstep', daemon=True).start()
 
@@ -183,12 +183,12 @@ class Participant(Clock):
 
     def hold(self) -> None:
         """See Clock."""
-        self._held = True
+        self._on_hold = True
 
     def release(self) -> None:
         """See Clock."""
         with self._lock:
-            self._held = False
+            self._on_hold = False
             self._answer()
 
     def close(self) -> None:
@@ -260,7 +260,7 @@ class Participant(Clock):
         """Say how far this process has come; the lock is held."""
         behind = [ns for stream, ns in self._handled.items() if ns < self._sent.get(stream, 0)]
         reached = min([self._now_ns, *behind])
-        if not self._held:
+        if not self._on_hold:
             self._reached_ns = max(self._reached_ns, reached)
         answer = {
             'name': self._name, 'reached': self._reached_ns, 'published': self._published,

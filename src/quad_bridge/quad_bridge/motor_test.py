@@ -29,9 +29,9 @@ def frame(motor: int, throttle: float, valid_s: float = VALID_S) -> Command:
     return Command(COMMAND, (float(motor), 0.0, 100.0 * throttle, valid_s, 1.0))
 
 
-def read(wanted: Mapping[str, object]) -> tuple[int, float, float]:
+def read(values: Mapping[str, object]) -> tuple[int, float, float]:
     """Motor, throttle and seconds of a request. Raises RefusedError for a meaningless one."""
-    request = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **wanted}
+    request = {'throttle': USUAL_THROTTLE, 'duration_s': USUAL_S, **values}
     unknown = sorted(request.keys() - {'motor', 'throttle', 'duration_s'})
     if unknown:
         raise RefusedError(f'{unknown[0]} is not known; known are motor, throttle, duration_s')
@@ -58,8 +58,8 @@ class MotorTest:
         self._enable, self._lock = enable, threading.Lock()
         self._reply: Callable[[bool, str], None] | None = None
         self._motor, self._throttle = 0, 0.0
-        self._begun_s = self._until_s = self._sent_s = -math.inf
-        self._accepted = False
+        self._start_s = self._until_s = self._sent_s = -math.inf
+        self._acknowledged = False
 
     @property
     def running(self) -> bool:
@@ -67,34 +67,34 @@ class MotorTest:
         return self._reply is not None
 
     def ask(
-        self, wanted: Mapping[str, object], reply: Callable[[bool, str], None], now_s: float,
+        self, values: Mapping[str, object], reply: Callable[[bool, str], None], now_s: float,
         *, armed: bool | None,
     ) -> Command:  # fmt: skip
         """Begin; the frame to send. Raises RefusedError."""
-        motor, throttle, duration_s = read(wanted)
+        motor, throttle, duration_s = read(values)
         if self.running:
             raise RefusedError('a motor is being tested already')
         if armed is None:
             raise RefusedError('nothing is received from the aircraft, so it may be armed')
         if armed:
             raise RefusedError('it is armed: disarm it; motors are tested on the ground')
-        if not self._enable.held(now_s):
+        if not self._enable.is_held(now_s):
             raise RefusedError('hold /operator/enable: the motor stops when you release it')
         self._reply, self._motor, self._throttle = reply, motor, throttle
-        self._begun_s, self._until_s, self._accepted = now_s, now_s + duration_s, False
+        self._start_s, self._until_s, self._acknowledged = now_s, now_s + duration_s, False
         return self._send(now_s)
 
     def tick(self, now_s: float) -> Command | None:
         """Give the frame to send now: the request again, or that which stops the motor."""
         if not self.running:
             return None
-        if not self._enable.held(now_s):
+        if not self._enable.is_held(now_s):
             return self.end('/operator/enable was let go')
-        if not self._accepted and now_s - self._begun_s > ANSWER_S:
+        if not self._acknowledged and now_s - self._start_s > ANSWER_S:
             return self.end(f'no answer in {ANSWER_S:g} s')
         if now_s >= self._until_s:
             words = f'motor {self._motor} spun at {100.0 * self._throttle:.0f} %'
-            return self.end(words, is_success=self._accepted)
+            return self.end(words, is_success=self._acknowledged)
         return self._send(now_s) if now_s - self._sent_s >= AGAIN_S else None
 
     def acknowledged(self, ack: CommandAck) -> None:
@@ -102,7 +102,7 @@ class MotorTest:
         if not self.running or ack.command != COMMAND:
             return
         words = outcome_of(ack.result)
-        self._accepted = self._accepted or words == ACCEPTED
+        self._acknowledged = self._acknowledged or words == ACCEPTED
         if words != ACCEPTED:
             why = ('it must be disarmed, level and at rest for 2 s, with a receiver that works, '
                    'throttle down, kill switch off, and a set-up without fault')  # fmt: skip

@@ -30,7 +30,7 @@ from quad_sysid.units import Units
 WHERE = 'arrays'
 MOST_COMMAND = 0.5
 """Largest normalised command."""
-FEWEST_PER_OSCILLATION = 15
+MIN_PER_OSCILLATION = 15
 """Samples below which a narrow oscillation is warned of: a model takes one step per sample."""
 NARROW = 1.3
 """Factor to either side of the median frequency between which half of the power is narrow."""
@@ -509,13 +509,13 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str,
     record, _, warnings = record_of(log, dt=series.dt)
     measured = np.asarray(angle if rate is None else rate)
     record = replace(record, units=units, warnings=(
-        *record.warnings, *warnings, *_held(series.u), *_too_coarse(measured, record.dt)))
-    begun = next(float(moved.time_s[0]) for moved in (log.rates, log.angles) if moved is not None)
-    return split_segments(with_parts(record, series.time_s - begun, (axis,), train, validate),
+        *record.warnings, *warnings, *_gap_warning(series.u), *_too_coarse(measured, record.dt)))
+    start_s = next(float(each.time_s[0]) for each in (log.rates, log.angles) if each is not None)
+    return split_segments(with_parts(record, series.time_s - start_s, (axis,), train, validate),
                           axes=(axis,))
 
 
-def _held(u: FloatArray) -> tuple[str, ...]:
+def _gap_warning(u: FloatArray) -> tuple[str, ...]:
     """A warning where the input is missing, else nothing."""
     lost = int(np.isnan(u).sum())
     text = (f'u is missing in {lost} of {u.size} samples: the one before is held there, which '
@@ -530,7 +530,7 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     frequency_hz = np.fft.rfftfreq(centred.size, dt)
     middle = frequency_hz[int(np.searchsorted(np.cumsum(power), 0.5 * power.sum()))]
     near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
-    if middle * dt * FEWEST_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
+    if middle * dt * MIN_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
         return ()
     text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
             'per oscillation; a model takes one step per sample and wants thirty: sample faster')
@@ -542,10 +542,10 @@ def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: A
     """The record with the requested segments, if any, for samples at time_s (n,), s."""
     if train is None and validate is None:
         return record
-    trained = None if train is None else _mask('train', train, time_s, last=False)
-    held_out = ~np.asarray(trained) if validate is None else _mask('validate', validate, time_s,
-                                                                   last=True)
-    masks = {'train': ~held_out if trained is None else trained, 'validation': held_out}
+    train_mask = None if train is None else _mask('train', train, time_s, last=False)
+    held_out = ~np.asarray(train_mask) if validate is None else _mask('validate', validate, time_s,
+                                                                      last=True)
+    masks = {'train': ~held_out if train_mask is None else train_mask, 'validation': held_out}
     both = masks['train'] & masks['validation']
     if both.any():
         raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',

@@ -260,14 +260,14 @@ def _identify(options: argparse.Namespace) -> int:
     from quad_sysid import session
     from quad_sysid.report import text
 
-    wanted = session.keywords(
+    keywords = session.keywords(
         () if options.axis is None else options.axis.split(','), options.train or '',
         options.validate or '', options.inertia or '',
     ) | {'effects': candidates(options)} | {
         name: positive(f'--{name}', value) for name in ('mass', 'thrust')
         if (value := getattr(options, name)) is not None}
     show = progress(quiet=options.quiet)
-    outcome = session.run(options.bags, options.out, wanted, show)
+    outcome = session.run(options.bags, options.out, keywords, show)
     if options.json:
         print(json.dumps(outcome.report, indent=1))
     elif not options.quiet:
@@ -292,14 +292,14 @@ def _evaluate(options: argparse.Namespace) -> int:
     models = pick(load_models(options.model, own_effects(options.effects)), options.axis,
                   options.model)
     polynomials = load_blackbox(options.model)
-    wanted = parse_span(options.validate, '--validate') if options.validate else None
+    request = parse_span(options.validate, '--validate') if options.validate else None
     record = read_bag(options.bag)
-    span, warnings = clip_span(wanted, record, '--validate')
-    seen = span is None and _trained(options, record)
+    span, warnings = clip_span(request, record, '--validate')
+    is_training = span is None and _trained(options, record)
     own = (f'{options.bag}: the model was identified from this flight, so that its error here is '
            'no test; give another one, or --validate with what was held out')
     doubts = (line for line in record.warnings if not line.startswith('import'))
-    for line in (*doubts, *warnings, *([own] if seen else [])):
+    for line in (*doubts, *warnings, *([own] if is_training else [])):
         print(f'quad-sysid: {line}', file=sys.stderr)
     spans = () if span is None else (span,)
     evaluations, refused = [], {}
@@ -314,7 +314,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         return NOT_ANSWERED
     axes = {
         e.axis: {'error': {'metric': in_units_of(models[e.axis].units, document.METRIC),
-                           'data': 'training' if seen else 'unseen', 'unit': e.unit,
+                           'data': 'training' if is_training else 'unseen', 'unit': e.unit,
                            'before': e.before, 'after': e.after,
                            'reference': e.after if e.reference is None else e.reference,
                            'one_step_before': e.one_step_before,
@@ -353,13 +353,13 @@ def _trained(options: argparse.Namespace, record: Record) -> bool:
         return False
     if not isinstance(tree, dict) or tree.get('schema') != document.SCHEMA:
         return False
-    trained = {(axis, round(segment['start_s'], 3), round(segment['end_s'], 3))
-               for axis, of_axis in tree['axes'].items() for segment in of_axis['segments']
-               if segment['role'] == 'train'}
+    train_segments = {(axis, round(segment['start_s'], 3), round(segment['end_s'], 3))
+                      for axis, of_axis in tree['axes'].items() for segment in of_axis['segments']
+                      if segment['role'] == 'train'}
     own = {(s.axis, round(s.start_s, 3), round(s.end_s, 3))
            for s in split_segments(record).segments
            if s.role == 'train' and s.axis in tree['axes']}
-    return bool(own) and own <= trained and Path(options.bag).name in {
+    return bool(own) and own <= train_segments and Path(options.bag).name in {
         Path(name).name for name in tree['bags']}
 
 

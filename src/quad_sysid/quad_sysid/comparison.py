@@ -107,8 +107,8 @@ def of_model(model: AxisModel, *, alone: bool = False) -> dict[str, Estimate]:
     named = {p.name: p for p in base if model.shows(p)}
     for effect in () if alone else model.effects:
         named |= {f'{effect.name}.{p.name}': p for p in effect.parameters}
-    shown = {name: model.in_units(p) for name, p in named.items()}
-    return {name: Estimate(p.value, p.std, p.unit) for name, p in shown.items()}
+    converted = {name: model.in_units(p) for name, p in named.items()}
+    return {name: Estimate(p.value, p.std, p.unit) for name, p in converted.items()}
 
 
 def trims(record: Record) -> dict[str, Estimate]:
@@ -185,8 +185,8 @@ def compare(reference: Flight, others: Sequence[Flight]) -> Comparison:
     BadInputError where the flights are arrays of unlike units.
     """
     changes = [_changes(reference, other) for other in others]
-    held = iter(_held([*chain(*changes)]))
-    out = Comparison((other, tuple(islice(held, len(own))))
+    marked = iter(_marked([*chain(*changes)]))
+    out = Comparison((other, tuple(islice(marked, len(own))))
                      for other, own in zip(others, changes, strict=True))
     out.reference = reference
     return out
@@ -227,7 +227,7 @@ def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Cha
     return replace(change, std=std, p_value=p)
 
 
-def _held(changes: Sequence[Change]) -> tuple[Change, ...]:
+def _marked(changes: Sequence[Change]) -> tuple[Change, ...]:
     """Mark the changes at LEVEL for all of them together."""
     from quad_sysid.fleets.drift import holm  # slow to import
 

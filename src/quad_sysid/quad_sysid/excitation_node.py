@@ -239,9 +239,9 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
     def close(self) -> None:
         """End a running excitation at once, and wait until that is delivered."""
         self._cut('the node ends')
-        left = Duration(seconds=min(patience(LEAVE_S), 60.0))
+        remaining = Duration(seconds=min(patience(LEAVE_S), 60.0))
         for publisher in (self._segment, self._setpoint, self._diagnostics):
-            publisher.wait_for_all_acked(left)
+            publisher.wait_for_all_acked(remaining)
 
     def _cut(self, reason: str) -> None:
         self._publish(self._player.cut(reason), self.get_clock().now().nanoseconds)

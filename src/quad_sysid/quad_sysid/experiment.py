@@ -36,7 +36,7 @@ CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {
 """What is tried, each at full amplitude and at LOW of it: friction shows in small motion."""
 LOW = 0.3
 CRITERIA = ('D', 'A')
-HELD = 1e-12
+NEGLIGIBLE = 1e-12
 """What is smaller and has no standard error is no part of the model."""
 LEAST = 1e-2
 """Least size of a parameter, of which the step for derivatives is a share."""
@@ -109,7 +109,7 @@ def design_experiment(
     commands, rates, angles = _within(target, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
     every = _values(target)
-    active = [i for i, (value, std) in enumerate(every.values()) if abs(value) > HELD or std]
+    active = [i for i, (value, std) in enumerate(every.values()) if abs(value) > NEGLIGIBLE or std]
     present = {name: every[name] for i, name in enumerate(every) if i in active}
     scores = []
     for i, name in enumerate(names):
@@ -120,25 +120,25 @@ def design_experiment(
     if not any(math.isfinite(score) for score, _, _ in scores):
         raise NotInformativeError('design_experiment: no candidate is informative within these '
                                   'limits; widen them or take longer')
-    ordered = sorted(scores, key=lambda entry: -entry[0])
-    _, best, information = ordered[0]
+    by_score = sorted(scores, key=lambda entry: -entry[0])
+    _, best, information = by_score[0]
     covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
     expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
     sign = 1.0 if criterion == 'D' else -1.0
-    shown = {name: abs(target.in_units(replace(p, value=1.0, std=None, interval=None)).value)
-             for name, p in target._named}  # noqa: SLF001 - of the same object
+    scales = {name: abs(target.in_units(replace(p, value=1.0, std=None, interval=None)).value)
+              for name, p in target._named}  # noqa: SLF001 - of the same object
     zero = 0.0 if units is None else units.zero_command
     return Experiment(
         name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=target.dt,
         u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
-        std_now={name: None if std is None else shown.get(name, 1.0) * std
+        std_now={name: None if std is None else scales.get(name, 1.0) * std
                  for name, (_, std) in present.items()},
-        std_expected={name: shown.get(name, 1.0) * float(value)
+        std_expected={name: scales.get(name, 1.0) * float(value)
                       for name, value in expected.items()},
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,
         ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',
-                       sign * score) for score, i, _ in ordered))
+                       sign * score) for score, i, _ in by_score))
 
 
 def _values(model: Identified) -> dict[str, tuple[float, float | None]]:

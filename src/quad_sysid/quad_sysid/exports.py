@@ -140,11 +140,11 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
         later = plant.step(unflat(x[:, None] + rest, start), plant.with_motors(now))
         return (flat(later) - rest)[:, 0]
 
-    def shown(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
+    def output(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
         rate, angle = plant.measured(unflat(x[:, None] + rest, start))
         return np.array([rate[0], 0.0 if angle is None else angle[0]])
 
-    return control.nlsys(update, shown, states=rest.shape[0], dt=model.dt, **names)
+    return control.nlsys(update, output, states=rest.shape[0], dt=model.dt, **names)
 
 
 WRITERS: Mapping[str, tuple[Callable[[Mapping[str, AxisModel]], bytes], str]] = {

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from quad_sysid.errors import BadInputError
-from quad_sysid.interrupt import held
+from quad_sysid.interrupt import uninterrupted
 
 UNFINISHED = '.unfinished_'
 """How the name of a folder begins that holds what is not whole yet."""
@@ -97,7 +97,7 @@ def check_page(path: Path, mark: str, command: str) -> None:
 @contextmanager
 def unfinished(place: Path) -> Iterator[Path]:
     """A folder in `place` for what is not whole yet: it goes at the end, also of the process."""
-    with held():  # else it could be there before it is known
+    with uninterrupted():  # else it could be there before it is known
         folder = tempfile.TemporaryDirectory(dir=place, prefix=UNFINISHED)
     with folder:
         yield Path(folder.name)

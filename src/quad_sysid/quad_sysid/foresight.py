@@ -58,9 +58,9 @@ def _ratio(rate: FloatArray, commands: FloatArray, spans: Sequence[tuple[int, in
     if rows.size <= ROWS_EACH * ((1 + commands.shape[1]) * LAGS + 1):
         return 1.0
     rows = rows[:: -(-rows.size // ENOUGH_ROWS)]
-    lagged_rows = rows[:, None] - step * np.arange(LAGS)
-    rates = np.column_stack([np.ones(rows.size), rate[lagged_rows]])
-    both = np.column_stack([rates, commands[lagged_rows].reshape(rows.size, -1)])
+    past_rows = rows[:, None] - step * np.arange(LAGS)
+    rates = np.column_stack([np.ones(rows.size), rate[past_rows]])
+    both = np.column_stack([rates, commands[past_rows].reshape(rows.size, -1)])
     future_rate = rate[rows + horizon]
 
     def error(regressors: FloatArray) -> float:

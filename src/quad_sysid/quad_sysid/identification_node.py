@@ -63,12 +63,12 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._folder = Path(folder).expanduser().resolve()
         words = 'what ~/identify reads, below the folder; empty: the newest bag there'
         self.declare_parameter('bag', '', ParameterDescriptor(description=words))
-        self._wanted = _wanted(self)
+        self._options = _options(self)
         self._bag = ''
-        self._begun: deque[str] = deque(maxlen=MAX_BAGS)
+        self._recordings: deque[str] = deque(maxlen=MAX_BAGS)
         """Recordings that the logger began since this node did, the latest."""
         self._unsure: dict[str, str] = {}  # the latest, while its publisher has no name yet
-        self._seen: dict[str, str] = {}  # bags, and why their gains are not sent
+        self._known_bags: dict[str, str] = {}  # bags, and why their gains are not sent
         self._queue: deque[str] = deque()
         self._log: dict[str, Any] = {}  # what the bridge says of an autopilot's own log
         self._values: dict[str, str] = {'state': 'waiting'}
@@ -76,7 +76,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._progress = ''  # the worker's last line; the executor shows it
         self._worker: threading.Thread | None = None
         self._outcome: Result | str | None = None
-        self._begun_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
+        self._start_ns = time.time_ns()  # by the middleware's clock, whatever that of the flight
         self._gains = self.create_client(SetParametersAtomically, f'{BRIDGE}/set_gains')
         self._diagnostics = self.create_publisher(DiagnosticArray, 'diagnostics', EVENT)
         self.create_subscription(ParameterEvent, 'logger/bag', self._on_bag, HEARD, raw=True)
@@ -94,13 +94,13 @@ class IdentificationNode(Node):  # type: ignore[misc]
         event = deserialize_message(data, ParameterEvent)
         values = parameters(event)
         bag, state = str(values.get('path', '')), values.get('state')
-        earlier, stranger = info['source_timestamp'] < self._begun_ns, self._stranger(event.node)
+        earlier, stranger = info['source_timestamp'] < self._start_ns, self._stranger(event.node)
         if state == 'recording' and not earlier:
             if not stranger:
-                self._begun.append(bag)
-            elif all('UNKNOWN' in one for one in self._said_by('/logger/bag')):
+                self._recordings.append(bag)
+            elif all('UNKNOWN' in one for one in self._publishers_of('/logger/bag')):
                 self._unsure = {bag: event.node}
-        if state != 'complete' or bag in self._seen:
+        if state != 'complete' or bag in self._known_bags:
             return
         if not self._ours(Path(bag)):
             why = f'{bag}: not read: it does not lie below the parameter folder ({self._folder})'
@@ -109,9 +109,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
             return
         if earlier:
             # the logger repeats its last ones to whoever comes late; the newest may be of use
-            before = {bag for bag, why in self._seen.items() if why == EARLIER}
+            before = {bag for bag, why in self._known_bags.items() if why == EARLIER}
             self._queue = deque(bag for bag in self._queue if bag not in before)
-        unseen = '' if bag in self._begun else 'its recording has not begun since this node did'
+        unseen = '' if bag in self._recordings else \
+            'its recording has not begun since this node did'
         self._queue_up(bag, EARLIER if earlier else stranger or unseen)
         if not earlier:
             self._start_next()
@@ -121,11 +122,11 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if len(self._queue) >= MAX_BAGS:
             self.get_logger().warning(f'{bag}: not read: {MAX_BAGS} bags wait already')
             return
-        self._seen[bag] = why
+        self._known_bags[bag] = why
         self._queue.append(bag)
-        done = [one for one in self._seen if one not in {*self._queue, self._bag}]
+        done = [one for one in self._known_bags if one not in {*self._queue, self._bag}]
         for one in done[: max(0, len(done) - MAX_BAGS)]:  # whose gains were sent long ago
-            del self._seen[one]
+            del self._known_bags[one]
 
     def _on_log(self, event: Any) -> None:
         """Take how far the bridge is with an autopilot's log; a stranger's word counts nothing."""
@@ -135,7 +136,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
         """Why what was said on a topic may not be that node's; empty if it is."""
         bridge = f'{self.get_namespace().rstrip("/")}/{by}'
-        sources = self._said_by(topic)
+        sources = self._publishers_of(topic)
         if node == bridge and sources == [bridge]:
             return ''
         publishers = ', '.join(sorted({node, *sources} - {bridge})) or 'another of that name'
@@ -160,12 +161,12 @@ class IdentificationNode(Node):  # type: ignore[misc]
         del request
         if self._worker is not None:
             return answered(response, False, f'{self._bag} is still being identified')
-        wanted = str(self.get_parameter('bag').value)
-        bag = self._folder / wanted if wanted else self._newest()
+        name = str(self.get_parameter('bag').value)
+        bag = self._folder / name if name else self._newest()
         if bag is None or not self._ours(bag):
-            where = wanted or 'no bag'
+            where = name or 'no bag'
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
-        self._seen[str(bag)] = 'it was asked for by ~/identify'
+        self._known_bags[str(bag)] = 'it was asked for by ~/identify'
         self._queue.append(str(bag))
         self._start_next(at_once=True)
         return answered(response, True, f'identifying {bag}')
@@ -196,7 +197,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
         try:
-            self._outcome = session.run([self._better(bag)], folder, self._wanted, self._on_line)
+            self._outcome = session.run([self._better(bag)], folder, self._options, self._on_line)
         except QuadSysidError as error:
             self._outcome = str(error)
         except Exception as error:  # noqa: BLE001 - a fault here must not take the node down
@@ -254,27 +255,27 @@ class IdentificationNode(Node):  # type: ignore[misc]
         """Send the gains if auto_update is on; returns what was done, or why not."""
         for axis, reason in outcome.refusals().items():
             self.get_logger().warning(f'{axis}: no gains: {reason}')
-        wanted = outcome.gains
-        if not wanted:
+        gains = outcome.gains
+        if not gains:
             return 'none: ' + '; '.join(outcome.refusals().values())
         if not self._auto_update:
-            self.get_logger().info(f'gains not sent (auto_update is off): {wanted}')
+            self.get_logger().info(f'gains not sent (auto_update is off): {gains}')
             return 'not sent: auto_update is off'
-        why = self._seen.get(bag, '')
+        why = self._known_bags.get(bag, '')
         if not why and not self._gains.service_is_ready():
             why = f'no bridge offers {self._gains.srv_name}'
         if why:
-            text = f'gains not sent: {why}; quad-tune send takes them: {wanted}'
+            text = f'gains not sent: {why}; quad-tune send takes them: {gains}'
             self.get_logger().warning(text)
             return f'not sent: {why}'
         values: dict[str, float | str] = {
-            **wanted, 'source': f'identification of {bag}', 'bag': bag,
+            **gains, 'source': f'identification of {bag}', 'bag': bag,
             'model': f'{outcome.folder}/model.json', **outcome.sent_with(),
         }  # fmt: skip
         event = event_message(values, '/identification', 0)
         request = SetParametersAtomically.Request(parameters=event.changed_parameters)
         self._gains.call_async(request).add_done_callback(self._on_answer)
-        self.get_logger().info(f'gains sent: {wanted}')
+        self.get_logger().info(f'gains sent: {gains}')
         return 'sent'
 
     def _on_answer(self, future: Any) -> None:
@@ -296,10 +297,10 @@ class IdentificationNode(Node):  # type: ignore[misc]
         self._report()
 
     def _report(self) -> None:
-        publishers = self._said_by('/logger/bag') if self._unsure else []
+        publishers = self._publishers_of('/logger/bag') if self._unsure else []
         if any('UNKNOWN' not in one for one in publishers):
-            self._begun.extend(bag for bag, node in self._unsure.items()
-                               if not self._stranger(node))
+            self._recordings.extend(bag for bag, node in self._unsure.items()
+                                    if not self._stranger(node))
             self._unsure = {}
         text, values = self._values.get('reason', self._values['state']), self._values
         if values['state'] == 'identifying' and self._progress:
@@ -311,7 +312,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         """Do nothing: an identification that still runs ends with the process."""
 
 
-def _wanted(node: Any) -> dict[str, Any]:
+def _options(node: Any) -> dict[str, Any]:
     """Options from the parameters; a wrong one ends the node before any flight."""
     descriptor = ParameterDescriptor(
         description='axes to identify; empty: those that the bag excites', read_only=True

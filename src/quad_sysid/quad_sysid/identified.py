@@ -142,9 +142,9 @@ class Identified(AxisModel):
             from quad_sysid.loop.cascade import CascadeGains
 
             changed = CascadeGains.from_mapping({**self.active_gains, **changed}, self.axis)
-        seen = in_flight(self)
-        reference = np.full(round(seconds / seen.dt), size)
-        return simulate_cascade(loop_plant(seen), changed, reference, seen.dt)
+        model = in_flight(self)
+        reference = np.full(round(seconds / model.dt), size)
+        return simulate_cascade(loop_plant(model), changed, reference, model.dt)
 
     def to_control(self, *, linear: bool = False) -> Any:
         """The model as a system of python-control; see exports.to_control."""

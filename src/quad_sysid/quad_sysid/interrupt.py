@@ -78,7 +78,7 @@ def _say(line: str) -> None:
 
 
 @contextmanager
-def held() -> Iterator[None]:
+def uninterrupted() -> Iterator[None]:
     """Let the signals that end a process wait for what must not be half done; milliseconds."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:

@@ -229,11 +229,11 @@ def _best_of(
     responses: Mapping[str, tuple[_Response, ...]], idle: tuple[str, ...]
 ) -> tuple[Pattern, ...]:
     """The best pattern of each axis that moves; motors may be idle for the axes of `idle`."""
-    tried = [[_best(axis, response, idle=axis in idle) for response in candidates]
-             for axis, candidates in responses.items()]
+    patterns_of_axes = [[_best(axis, response, idle=axis in idle) for response in candidates]
+                        for axis, candidates in responses.items()]
     return tuple(
         max(patterns, key=lambda p: (p.certain, p.response != 'angle', p.share))
-        for patterns in tried if patterns
+        for patterns in patterns_of_axes if patterns
     )
 
 
@@ -347,15 +347,15 @@ def _sums(
     products: list[tuple[FloatArray, ...]] = []
     for lag in LAGS_S:
         keep = float(np.exp(-dt / lag)) if lag else 0.0
-        lagged = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
-        total = np.concatenate([np.zeros((1, k)), np.cumsum(lagged, axis=0)])
+        filtered = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
+        total = np.concatenate([np.zeros((1, k)), np.cumsum(filtered, axis=0)])
         mean = (total[step:] - total[:-step]) / step
         for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
-            shifted = np.zeros((n, k))
-            shifted[delay : delay + len(mean)] = mean[: n - delay]
+            delayed = np.zeros((n, k))
+            delayed[delay : delay + len(mean)] = mean[: n - delay]
             usable = is_finite & np.isfinite(response)
             usable[:delay] = False
-            sums = [_block(shifted[rows], response[rows])
+            sums = [_block(delayed[rows], response[rows])
                     for rows in np.array_split(np.flatnonzero(usable), BLOCKS)]
             products.append(tuple(map(np.array, zip(*sums, strict=True))))
     return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))

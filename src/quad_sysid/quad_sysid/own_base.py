@@ -5,7 +5,7 @@
         rhs=lambda x, u, p: {'speed': p['k'] * u['u'] - p['damping'] * x['speed']})
     found = identify(base=motor, u=volts, y=speed, dt=0.002, units={'u': 'V'})
 
-The law is one more term of a base whose built-in terms are nothing (Structure.law, Problem.held),
+The law is one more term of a base whose built-in terms are nothing (Structure.law, zero_terms),
 so that all that `identify` does is done with it. It is evaluated here, and nothing is fitted.
 """
 
@@ -42,7 +42,7 @@ SIGNALS = ('battery', 'throttle', 'time')
 """Inputs beside the first, which is u; the time of each flight begins at 0."""
 COLLINEAR = 3e-3
 """Smallest over largest singular value of scaled sensitivities, below which two are one."""
-SHOWN = 0.3
+PARTNER_SHARE = 0.3
 """Share of a direction from which on a parameter is named with its partners."""
 
 
@@ -124,8 +124,8 @@ class Base:
         settings = law.prepare(data)
         if isinstance(settings, str):
             raise BadInputError(f'base {self.name}', 'needs what was not measured', settings)
-        held_terms = [i for i, name in enumerate(BUILT_IN_TERMS) if name not in self.keep]
-        return Problem(data, data.train, law=Part(law), held=held_terms)
+        zero_terms = [i for i, name in enumerate(BUILT_IN_TERMS) if name not in self.keep]
+        return Problem(data, data.train, law=Part(law), zero_terms=zero_terms)
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -167,7 +167,8 @@ class _Law(Effect):
             stored = b''
         return _law_of, (self.number, stored)
 
-    def _seen(self, s: Signals, settings: Settings) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _states_and_inputs(self, s: Signals, settings: Settings
+                           ) -> tuple[dict[str, Any], dict[str, Any]]:
         """States that are measured and inputs, in the units of the arrays."""
         base, units = self.base, self.units
         x: dict[str, Any] = {base.output: s.rate / units.per_rate}
@@ -184,7 +185,7 @@ class _Law(Effect):
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray | None:
         """Acceleration, rad/s²; silent: without a command."""
-        x, u = self._seen(s, settings)
+        x, u = self._states_and_inputs(s, settings)
         x |= {name: required(s.hidden)[i] for i, name in enumerate(self.base.hidden)}
         slope = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
         return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
@@ -202,13 +203,13 @@ class _Law(Effect):
 
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         """Hidden states a cycle later."""
-        return np.stack(self._step(x, *self._seen(s, settings), self._named(p), s.dt))
+        return np.stack(self._step(x, *self._states_and_inputs(s, settings), self._named(p), s.dt))
 
     def cycles(self, s: Signals, p: FloatArray, settings: Settings, stretches: Sequence[Span],
                first: Sequence[FloatArray]) -> FloatArray:
         """As Effect, from number to number."""
         named, out = self._named(p), np.zeros((self.states, s.time.size))
-        x, u = self._seen(s, settings)
+        x, u = self._states_and_inputs(s, settings)
         for (start, stop), begin in zip(stretches, first, strict=True):
             hidden = [*begin]
             for k in range(start, stop):
@@ -251,10 +252,10 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
         names, length, strict=True) if size < noise]
     moving = [i for i, size in enumerate(length) if size >= noise]
     if len(moving) > 1:
-        _, values, ways = np.linalg.svd(columns[:, moving] / length[moving], full_matrices=False)
-        for value, way in zip(values, ways, strict=True):
+        _, values, basis = np.linalg.svd(columns[:, moving] / length[moving], full_matrices=False)
+        for value, way in zip(values, basis, strict=True):
             if value < COLLINEAR * values[0]:
                 first, *rest = (names[moving[i]] for i in np.argsort(-np.abs(way))
-                                if abs(way[i]) > SHOWN)
+                                if abs(way[i]) > PARTNER_SHARE)
                 lines.append(f'{first}: only together with {" and ".join(rest)}; hold one of them')
     return tuple(lines)

@@ -283,8 +283,8 @@ class Record:
         """Where the axis is excited in its training, or without any in all of its segments."""
         excitations = [s for s in self.segments if s.axis == name and s.injection in INJECTIONS
                        and s.role != 'idle']
-        trained = {s.injection for s in excitations if s.role == 'train'}
-        return trained or {s.injection for s in excitations}
+        injections = {s.injection for s in excitations if s.role == 'train'}
+        return injections or {s.injection for s in excitations}
 
     def span(self, segment: Segment) -> tuple[int, int]:
         """Index range [start, stop) of a segment."""
@@ -359,9 +359,9 @@ class Record:
         def cells(values: FloatArray) -> FloatArray:
             return values[phase : phase + n * count].reshape(n, count, *values.shape[1:])
 
-        seen = np.zeros(n, dtype=bool)
+        has_sample = np.zeros(n, dtype=bool)
         nearest = np.round((measured - phase) / count).astype(int)
-        seen[nearest[(nearest >= 0) & (nearest < n)]] = True
+        has_sample[nearest[(nearest >= 0) & (nearest < n)]] = True
         angles = None if self.angles is None else across_gaps(
             self.angles, SHORT_GAP_S / self.dt)  # else a lost sample costs all cells that it is in
         arrays: dict[str, Any] = {}
@@ -380,7 +380,7 @@ class Record:
             values = cells(values)
             values = values.mean(axis=1) if array in ACTING else values[:, 0]
             if array in {'velocity', 'altitude'}:
-                values[~seen] = np.nan
+                values[~has_sample] = np.nan
             arrays[array] = values
         shift_s = phase * self.dt
         return replace(
@@ -520,8 +520,8 @@ def _frozen(name: str, value: object, n: int, width: int | None) -> FloatArray:
     array = _signal(name, value, 'Record')
     columns = array.shape[1:] if width is None else (width,) if width else ()
     if array.ndim != (1 if width == 0 else 2) or array.shape != (n, *columns) or not n:
-        wanted = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
-        raise BadInputError('Record', f'{name} must be ({wanted}) with n as in rates',
+        expected = ', '.join(['n', *([] if width == 0 else [str(width or 'motors')])])
+        raise BadInputError('Record', f'{name} must be ({expected}) with n as in rates',
                             f'{array.shape} for n = {n}')
     if array is value and array.flags.writeable:
         array = array.copy()
@@ -543,8 +543,8 @@ def _spans(value: object, n: int) -> tuple[tuple[int, int], ...]:
     for start, stop in spans:
         if not 0 <= start < stop <= n:
             raise BadInputError('IOData', f'a segment must lie in 0..{n}', (start, stop))
-    ordered = sorted(spans)
-    for first, other in itertools.pairwise(ordered):
+    sorted_spans = sorted(spans)
+    for first, other in itertools.pairwise(sorted_spans):
         if other[0] < first[1]:
             raise BadInputError('IOData', 'segments must not overlap, samples would count twice',
                                 f'{first} and {other}')

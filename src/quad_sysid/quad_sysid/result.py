@@ -304,7 +304,7 @@ def identify(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
         'identify: effects', EFFECTS)
     show, limit = _listener(progress), _halt(seconds, stop)
-    wanted, records = _request(flights, axes, {
+    names, records = _request(flights, axes, {
         'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
         'signals': signals, 'units': units}, train, validate, show)
     missing = ''
@@ -312,7 +312,7 @@ def identify(
         designer, missing = installed_designer()
     answers = answers_of(
         records,
-        Options(axes=wanted, designer=designer, no_designer_because=missing, effects=candidates,
+        Options(axes=names, designer=designer, no_designer_because=missing, effects=candidates,
                 base=base, halt=limit),
         show,
     )
@@ -336,9 +336,9 @@ def undetermined(base: Base, flights: Flights | None = None, axis: str = '',
     from quad_sysid.pipeline.usable import together
 
     train, validate = (arrays.pop(name, None) for name in ('train', 'validate'))
-    wanted, records = _request(flights, axis, arrays, train, validate, lambda _: None)
+    names, records = _request(flights, axis, arrays, train, validate, lambda _: None)
     unified = together(records)
-    data = axis_data(unified, (wanted or excited_axes(unified))[0])
+    data = axis_data(unified, (names or excited_axes(unified))[0])
     return lacking(base, base.problem(data, unified[0].units))
 
 
@@ -350,16 +350,16 @@ def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any],
     if not isinstance(axes, str) and not all(isinstance(axis, str) for axis in axes):
         raise BadInputError('identify', 'axes must be names', type(axes).__name__,
                             'hand in arrays by their names: identify(u=…, y=…, dt=…)')
-    wanted = (axes,) if isinstance(axes, str) and axes else tuple(axes)
-    for axis in wanted:
+    names = (axes,) if isinstance(axes, str) and axes else tuple(axes)
+    for axis in names:
         axis_of('identify', axis)
     if not are_arrays(flights) and all(array is None for array in arrays.values()):
-        return wanted, _flown(flights, wanted, train, validate, show)
-    if isinstance(flights, Record | str | Path) or len(wanted) > 1:
+        return names, _flown(flights, names, train, validate, show)
+    if isinstance(flights, Record | str | Path) or len(names) > 1:
         raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
-                            'axis', ', '.join(wanted) or str(flights))
-    wanted = wanted or AXES[:1]
-    return wanted, records_of(flights, **arrays, train=train, validate=validate, axis=wanted[0])
+                            'axis', ', '.join(names) or str(flights))
+    names = names or AXES[:1]
+    return names, records_of(flights, **arrays, train=train, validate=validate, axis=names[0])
 
 
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,

@@ -195,10 +195,10 @@ def _remarks(record: Record, rotors: Sequence[Rotor | None], is_finite: np.ndarr
                        f'{1e3 * math.exp(usual):.3g} ms')
         level = np.nanmedian(np.asarray(record.motors)[:, i], keepdims=True)
         own = float(_speed(rotor, level)[0])
-        theirs = float(np.median([_speed(r, level)[0] for r in others]))
-        if theirs > 0.0 and abs(own / theirs - 1.0) > UNEVEN:
-            out.append(f'{name} turns {100.0 * abs(own / theirs - 1.0):.0f} % '
-                       f'{"slower" if own < theirs else "quicker"} than the others at one command')
+        normal = float(np.median([_speed(r, level)[0] for r in others]))
+        if normal > 0.0 and abs(own / normal - 1.0) > UNEVEN:
+            out.append(f'{name} turns {100.0 * abs(own / normal - 1.0):.0f} % '
+                       f'{"slower" if own < normal else "quicker"} than the others at one command')
     return out
 
 
@@ -214,10 +214,10 @@ def _failures(
         return []
     lag = float(np.median([r.lag_s for r in others]))
     u = np.nan_to_num(record.motors[:, i])
-    lagged = _behind(u, lag, 0.0, record.dt)
-    wanted: FloatArray = np.median([_speed(r, lagged) for r in others], axis=0)
-    turning = measured & (u > IDLE) & (wanted > 0.0)
-    share = np.where(turning, record.speeds[:, i] / np.where(turning, wanted, 1.0), 1.0)
+    delayed = _behind(u, lag, 0.0, record.dt)
+    expected: FloatArray = np.median([_speed(r, delayed) for r in others], axis=0)
+    turning = measured & (u > IDLE) & (expected > 0.0)
+    share = np.where(turning, record.speeds[:, i] / np.where(turning, expected, 1.0), 1.0)
     usual = float(np.median(share[turning])) if turning.any() else 1.0
     lines = []
     for word, low in (('stands still', share < STOPS),

@@ -31,16 +31,16 @@ def keywords(axes: Sequence[str] = (), train: str = '', validate: str = '',
             'inertia': _inertia(inertia) if inertia else None}
 
 
-def run(bags: Sequence[str], out: Path | None, wanted: Mapping[str, Any],
+def run(bags: Sequence[str], out: Path | None, keywords: Mapping[str, Any],
         progress: Callable[[str], None] = lambda _: None) -> Result:
-    """Read, identify, design, write; `wanted` are keywords of `identify`.
+    """Read, identify, design, write; `keywords` are those of `identify`.
 
     Without `out` a folder is created in the current directory. Raises QuadSysidError.
     """
     check_place(out or Path())
     if out is not None:
         check_own(out)
-    result = identify(bags, progress=progress, **wanted)
+    result = identify(bags, progress=progress, **keywords)
     progress('writing the report')
     saved = result.save(out)
     progress('')

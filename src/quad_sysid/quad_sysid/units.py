@@ -126,11 +126,11 @@ def scale(units: Units | None, name: str, unit: str) -> Scale:
         command_unit = plain if chosen.command == COMMAND else chosen.command
         return Scale(f'{in_units_of(units, name)}, {command_unit}', 1.0 / chosen.per_command,
                      chosen.zero_command)
-    shown, factor = shown_in(units, unit)
-    return Scale(f'{in_units_of(units, name)}, {shown}', factor)
+    text, factor = unit_and_factor(units, unit)
+    return Scale(f'{in_units_of(units, name)}, {text}', factor)
 
 
-def shown_in(units: Units | None, unit: str) -> tuple[str, float]:
+def unit_and_factor(units: Units | None, unit: str) -> tuple[str, float]:
     """The unit in which a number is shown, and how many of it one of `unit` is."""
     return (unit, 1.0) if units is None else units.parameter(unit)
 

@@ -27,7 +27,7 @@ BLOCK_S = 2.0
 """Blocks of hover whose mean throttle carries the weight."""
 STEADY = 0.1
 """Share of gravity up to which the mean vertical acceleration of a block is allowed for."""
-FEWEST = 6
+MIN_SAMPLES = 6
 """Means, or blocks, below which a fit of two numbers says nothing."""
 FELL = 0.03
 """Relative change of the voltage that shows what the thrust makes of it."""
@@ -176,16 +176,16 @@ def flies(record: Record) -> bool:
     thrust, count = record.control[:, 0], max(2, round(SHAKING_S / record.dt))
     angles = np.zeros_like(record.rates) if record.angles is None else record.angles
     gravity = in_body(np.tile((0.0, 0.0, GRAVITY), (record.n, 1)), angles)
-    seen = slice(2 if record.angles is None else 0, 3)
+    axes = slice(2 if record.angles is None else 0, 3)
     rows = record.n // count * count
     measured, on_rig, thrust = (array[:rows].reshape(rows // count, count, -1).mean(axis=1)
                                 for array in (record.acceleration, gravity, thrust))
     usable = np.isfinite(measured + on_rig + thrust).all(axis=1) & (thrust[:, 0] > LEAST_THROTTLE)
-    if usable.sum() < FEWEST:
+    if usable.sum() < MIN_SAMPLES:
         return False
     measured, on_rig, thrust = measured[usable], on_rig[usable], thrust[usable]
     in_flight = GRAVITY * thrust / thrust.mean() * (0.0, 0.0, 1.0)
-    left = [(measured - predicted)[:, seen].var(axis=0).sum() for predicted in (in_flight, on_rig)]
+    left = [(measured - predicted)[:, axes].var(axis=0).sum() for predicted in (in_flight, on_rig)]
     return bool(left[0] < FREE * left[1])
 
 
@@ -194,14 +194,14 @@ def _hover(records: Sequence[Record]) -> list[Fact]:
     if not records:
         return []
     throttle, volts = (np.concatenate(parts) for parts in zip(*map(_steady, records), strict=True))
-    if throttle.size < FEWEST:
+    if throttle.size < MIN_SAMPLES:
         return []
     out = [Fact('hover_throttle', float(np.median(throttle)), '1',
                 'median U1 while the vertical speed is steady',
                 float(np.std(throttle) / math.sqrt(throttle.size)))]
     is_finite = np.isfinite(volts)
     x, y = np.log(volts[is_finite]), np.log(throttle[is_finite])
-    if is_finite.sum() >= FEWEST and np.ptp(x) > FELL:
+    if is_finite.sum() >= MIN_SAMPLES and np.ptp(x) > FELL:
         slope, _ = np.polyfit(x, y, 1)
         residual = y - np.polyval(np.polyfit(x, y, 1), x)
         spread = float(np.std(residual) / (np.std(x) * math.sqrt(max(1, x.size - 2))))

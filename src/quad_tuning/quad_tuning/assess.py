@@ -149,7 +149,7 @@ def tracking(plant: Flying, sets: Sequence[CascadeGains],
 def disturbance(plant: Flying, controller: Flown) -> FloatArray:
     """RMS angle under a torque step, rad; (g,) for several sets of gains."""
     still = np.zeros(round(plant.trial.push_s / plant.dt))
-    run = flown(plant, controller, still, torque=plant.trial.push - plant.held)
+    run = flown(plant, controller, still, torque=plant.trial.push - plant.rest_acceleration)
     return np.asarray(np.sqrt(np.mean(run.angle**2, axis=-1)))
 
 

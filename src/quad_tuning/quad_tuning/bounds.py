@@ -60,9 +60,9 @@ def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
         return BOUNDS
     unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
     limits = dict(BOUNDS)
-    for ours, (low, high) in table.limits(number, (unit, unit, unit)).items():
-        bound = BOUNDS[ours]
-        limits[ours] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
+    for name, (low, high) in table.limits(number, (unit, unit, unit)).items():
+        bound = BOUNDS[name]
+        limits[name] = replace(bound, lower=max(bound.lower, low), upper=min(bound.upper, high))
     return limits
 
 
@@ -122,18 +122,18 @@ def by_contract(gains: CascadeGains, axis: str, active: Mapping[str, float]) -> 
     return {name: float(getattr(gains, field)) for name, field in names.items() if name in active}
 
 
-def steps_to(wanted: CascadeGains, active: CascadeGains, axis: str) -> tuple[CascadeGains, ...]:
-    """The steps from `active` to `wanted`, each within the limit."""
+def steps_to(target: CascadeGains, active: CascadeGains, axis: str) -> tuple[CascadeGains, ...]:
+    """The steps from `active` to `target`, each within the limit."""
     path: list[CascadeGains] = []
     now = active
     for _ in range(64):
-        if now == wanted:
+        if now == target:
             return tuple(path)
         values = {}
         for field in DESIGNED:
             low, high = reachable(field, getattr(now, field), axis)
-            values[field] = min(max(getattr(wanted, field), low), high)
-        following = replace(wanted, **values)
+            values[field] = min(max(getattr(target, field), low), high)
+        following = replace(target, **values)
         if following == now:
             break
         now = following

@@ -205,8 +205,8 @@ def _notches(models: Mapping[str, AxisModel], answers: Mapping[str, Mapping[str,
         gains |= {**model.active_gains, **(answer.get('target') or answer['gains'] or {})}
         if 'crossover_rad_s' in answer['figures']:
             crossover[axis] = answer['figures']['crossover_rad_s']
-    seen = look(flight).whole.axes
-    peaks = {axis: one.gyro.peaks() for axis, one in seen.items() if one.gyro is not None}
+    looks = look(flight).whole.axes
+    peaks = {axis: one.gyro.peaks() for axis, one in looks.items() if one.gyro is not None}
     dt = next(iter(models.values())).dt
     return [{**vars(one), 'gains': one.gains}
             for one in propose_notches(peaks, gains, crossover, dt)]

@@ -177,13 +177,13 @@ def draw_models(model: AxisModel, rng: np.random.Generator, count: int) -> list[
     logarithm, which are drawn by it, and those that cannot be negative.
     """
     names = model.parameter_names
-    matrix = _believed_covariance(model)
+    matrix = _bounded_covariance(model)
     values, vectors = np.linalg.eigh(matrix)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     offsets = rng.standard_normal((count, len(names))) @ root.T
     specs = {f'{effect.name}.{spec.name}': spec for effect in model.effects
              for spec in acting_effect(model, effect).effect.parameters}
-    return [_moved(model, dict(zip(names, row, strict=True)), specs) for row in offsets]
+    return [_shifted_model(model, dict(zip(names, row, strict=True)), specs) for row in offsets]
 
 
 def build(model: AxisModel, rng: np.random.Generator, count: int = DRAWS) -> Ensemble:
@@ -216,18 +216,18 @@ def _noise_power(model: AxisModel, omega: FloatArray) -> FloatArray:
 
 def _next_flight(drawn: AxisModel, rng: np.random.Generator) -> Flying:
     """The plant at another voltage and throttle, and along what changes its gain by itself."""
-    moved = {}
+    conditions = {}
     if drawn.mean_battery_v:
-        moved['battery'] = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
-    moved['throttle'] = usual_signals(drawn)['throttle'] * rng.uniform(*THROTTLE_RANGE)
+        conditions['battery'] = drawn.mean_battery_v * rng.uniform(*VOLTAGE_RANGE)
+    conditions['throttle'] = usual_signals(drawn)['throttle'] * rng.uniform(*THROTTLE_RANGE)
     low, usual, high = gain_range(drawn)
-    flying = loop_plant(drawn, moved)
+    flying = loop_plant(drawn, conditions)
     p = flying.plant.p.copy()
     p[0] *= rng.uniform(low, high) / usual
     return replace(flying, plant=replace(flying.plant, p=p))
 
 
-def _believed_covariance(model: AxisModel) -> FloatArray:
+def _bounded_covariance(model: AxisModel) -> FloatArray:
     names = model.parameter_names
     if model.covariance is None:
         matrix = np.zeros((len(names), len(names)))
@@ -243,7 +243,8 @@ def _believed_covariance(model: AxisModel) -> FloatArray:
     return np.asarray(0.5 * (matrix + matrix.T))
 
 
-def _moved(model: AxisModel, offset: dict[str, float], specs: Mapping[str, Spec]) -> AxisModel:
+def _shifted_model(model: AxisModel, offset: dict[str, float],
+                   specs: Mapping[str, Spec]) -> AxisModel:
     def shifted(parameter: Parameter, name: str) -> Parameter:
         value, spec = parameter.value + offset.get(name, 0.0), specs.get(name)
         if name in ('gain', 'lag', 'delay'):

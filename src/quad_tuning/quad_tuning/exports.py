@@ -159,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _shared_filter(firmware: Firmware, gains: Mapping[str, float]) -> Iterator[str]:
     """A warning for each axis whose D filter is not the lowest, where all axes share one."""
     rows = () if firmware.table is None else firmware.table.rows
-    if not any(row.ours == D_FILTER and '{' not in row.theirs for row in rows):
+    if not any(row.ours == D_FILTER and '{' not in row.parameter for row in rows):
         return
     cutoffs = {axis: gains[f'{axis}.{D_FILTER}'] for axis in AXES
                if f'{axis}.{D_FILTER}' in gains and gains[f'{axis}.rate.kd']}
@@ -236,15 +236,15 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
     """
     out = []
     for axis in AXES:
-        for ours, (theirs, unit) in firmware.cli.items():
-            name = f'{axis}.{ours}'
+        for gain, (parameter, unit) in firmware.cli.items():
+            name = f'{axis}.{gain}'
             if name not in gains:
                 continue
             whole = flown.get(RANGE_US, PIDSUM) if unit in INAV else PIDSUM
             unit_si = unit * DEGREES / (whole or PIDSUM)
-            if (axis, ours, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
+            if (axis, gain, unit) == ('yaw', 'rate.ki', BETAFLIGHT[1]):
                 unit_si *= flown.get(YAW_FACTOR, YAW_I)
-            unit_si *= flown.get(f'{axis}.rate.tpa_{ours[-2:]}', 1.0)
+            unit_si *= flown.get(f'{axis}.rate.tpa_{gain[-2:]}', 1.0)
             value, old = (round(known[name] / unit_si) if name in known and unit_si else None
                           for known in (gains, before))
             if value is None or not 0 <= value <= MOST:
@@ -252,7 +252,7 @@ def cli_lines(firmware: Firmware, gains: Mapping[str, float], before: Mapping[st
                                     value, 'it cannot have this gain')
             change = '' if old is None else f', from {old} ({value - old:+d})'
             out += [f'# {name} {gains[name]:.6g} / {unit_si:.6g}{change}',
-                    f'set {theirs.format(axis)} = {value}']
+                    f'set {parameter.format(axis)} = {value}']
     return out
 
 
@@ -262,20 +262,21 @@ def _steps(gains: Mapping[str, float], axes: Mapping[str, Mapping[str, Any]], *,
 
     `to_gains`: without those beyond `gains`, which follow after another flight.
     """
-    ways = {axis: tree.get('steps') or tree.get('gain_steps') or [] for axis, tree in axes.items()}
-    for axis, way in ways.items():
-        if not (isinstance(way, list) and all(isinstance(step, dict) for step in way)):
-            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(way),
+    paths = {axis: tree.get('steps') or tree.get('gain_steps') or []
+             for axis, tree in axes.items()}
+    for axis, path in paths.items():
+        if not (isinstance(path, list) and all(isinstance(step, dict) for step in path)):
+            raise BadInputError(f'axes.{axis}.steps', 'must be a list of objects', repr(path),
                                 AGAIN)
         own = [gains.get(f'{axis}.{name}') for name in NEEDED]
-        ends = [k for k, step in enumerate(way, 1) if to_gains
+        ends = [k for k, step in enumerate(path, 1) if to_gains
                 and [step.get(f'{axis}.{name}') for name in NEEDED] == own]
-        ways[axis] = way[:min(ends, default=len(way))]
+        paths[axis] = path[:min(ends, default=len(path))]
     out: list[dict[str, float]] = []
-    for k in range(max((len(way) for way in ways.values()), default=0)):
+    for k in range(max((len(path) for path in paths.values()), default=0)):
         here = dict(gains)
-        for axis, way in ways.items():
-            step = way[min(k, len(way) - 1)] if way else {}
+        for axis, path in paths.items():
+            step = path[min(k, len(path) - 1)] if path else {}
             here |= {n: finite(v, f'axes.{axis}.steps.{n}') for n, v in step.items() if n in gains}
         if not out or here != out[-1]:
             out.append(here)
@@ -405,9 +406,9 @@ def parameters(firmware: Firmware, gains: Mapping[str, float],
 
 def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
              unit: float | None) -> Iterator[tuple[str, float, str]]:
-    lacking = [name for name in NEEDED if name not in own]
-    if lacking:
-        raise BadInputError(f'gains of {axis}', f'lack {", ".join(lacking)}',
+    missing = [name for name in NEEDED if name not in own]
+    if missing:
+        raise BadInputError(f'gains of {axis}', f'lack {", ".join(missing)}',
                             remedy='take them from quad-tune design --out or report.json')
     if unit is None:
         raise BadInputError(
@@ -417,16 +418,16 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
     table = firmware.table
     if table is None:
         return
-    theirs = table.axes[AXES.index(axis)]
+    axis_name = table.axes[AXES.index(axis)]
     rows = {row.ours: row for row in table.rows}
-    yield (rows['angle.kp'].name(theirs), own['angle.kp'],
+    yield (rows['angle.kp'].name(axis_name), own['angle.kp'],
            f'{axis}.angle.kp {own["angle.kp"]:.6g} 1/s')
     if table.multiplier:
-        yield table.multiplier.format(theirs), 1.0, 'P, I, D stand by themselves'
-    for ours in NEEDED[1:]:
-        if own[ours] < 0.0:
-            raise BadInputError(f'{axis}.{ours}', 'must not be negative', own[ours])
-        yield (rows[ours].name(theirs), own[ours] / unit,
-               f'{axis}.{ours} {own[ours]:.6g} / {unit:.6g}')
+        yield table.multiplier.format(axis_name), 1.0, 'P, I, D stand by themselves'
+    for gain in NEEDED[1:]:
+        if own[gain] < 0.0:
+            raise BadInputError(f'{axis}.{gain}', 'must not be negative', own[gain])
+        yield (rows[gain].name(axis_name), own[gain] / unit,
+               f'{axis}.{gain} {own[gain]:.6g} / {unit:.6g}')
     if D_FILTER in own and own['rate.kd']:
-        yield rows[D_FILTER].name(theirs), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'
+        yield rows[D_FILTER].name(axis_name), own[D_FILTER], f'{axis}.rate.d_filter_hz, in Hz'

@@ -58,8 +58,8 @@ class GainSet:
 
 def default_folder() -> Path:
     """Folder of the bridge's files: `$ROS_HOME/quad_suite`, or `~/.ros/quad_suite`."""
-    home = os.environ.get('ROS_HOME')
-    return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
+    ros_home = os.environ.get('ROS_HOME')
+    return (Path(ros_home) if ros_home else Path.home() / '.ros') / 'quad_suite'
 
 
 def history_file(folder: Path, aircraft: str) -> Path:

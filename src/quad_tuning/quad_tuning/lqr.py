@@ -167,8 +167,8 @@ def likeness(plant: Flying) -> tuple[float, float, float, float]:
         gain, lag, delay, damping = start * np.exp(factors)
         own = gain * np.exp(-s * (delay + 0.5 * plant.dt)) / ((lag * s + 1.0) * (s + damping))
         error = np.log(own / rate)
-        turned = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
-        return np.concatenate([error.real, turned, 0.05 * factors])
+        phase = np.mod(error.imag + np.pi, 2.0 * np.pi) - np.pi
+        return np.concatenate([error.real, phase, 0.05 * factors])
 
     best = start * np.exp(least_squares(mismatch, np.zeros(4)).x)
     return tuple(float(value) for value in best)  # type: ignore[return-value]

@@ -85,9 +85,9 @@ def propose_notches(peaks: Mapping[str, tuple[Peak, ...]], gains: Mapping[str, f
             place = free[0]
         else:
             continue
-        made = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
-        if made is not None:
-            notches.append(made)
+        notch = _notch(place, axis, peak, command, cascades[axis], crossing_hz, dt)
+        if notch is not None:
+            notches.append(notch)
             free = [one for one in free if one != place]
     return tuple(notches)
 
@@ -121,8 +121,8 @@ def _price(place: str, hz: float, width: float, command: float, peak: Peak, gain
     if place == 'rate.d_notch':
         behind = replace(gains, d_notch_hz=hz, d_notch_bandwidth_hz=width)
         at = np.array([2.0 * np.pi * max(crossing_hz, 1e-3)])
-        turned = behind.response(at, dt)[0, 0] / gains.response(at, dt)[0, 0]
-        return max(0.0, -float(np.degrees(np.angle(turned)))), _command(behind, peak, dt)
+        ratio = behind.response(at, dt)[0, 0] / gains.response(at, dt)[0, 0]
+        return max(0.0, -float(np.degrees(np.angle(ratio)))), _command(behind, peak, dt)
     at_hz = np.array([max(crossing_hz, 1e-3)])
     # half of a peak's power lies within an eighth of the notch's width about its centre
     passed = float(abs(notch(hz, width, np.array([hz + width / 8.0]))[0]))

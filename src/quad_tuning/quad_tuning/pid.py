@@ -60,7 +60,7 @@ GRID = (9, 14, 3, 7, 3)
 KI_SHARES, KD_SHARES = (0.15, 0.6), (0.08, 0.8)
 """Range in the cube; not from 0, where the powers are flat and a search would stay."""
 FILTER_HZ = (30.0, 55.0, 100.0)
-JUDGED = 120
+SHORTLIST = 120
 """Number of grid points that are judged by the whole objective."""
 STARTS = 5
 """Searches from the best grid points that are at least MIN_DISTANCE apart in SHAPE (angle kp, rate
@@ -193,7 +193,7 @@ def search(problem: Problem) -> list[tuple[float, FloatArray]]:
     """
     grid = _grid(problem)
     loops = problem.ensemble.subset(_binding(problem))
-    best = grid[_ranked(problem, loops, grid)[:JUDGED]]
+    best = grid[_ranked(problem, loops, grid)[:SHORTLIST]]
     best = best[np.argsort(_merits(problem, loops, best), kind='stable')]
     starts = _distinct(best)
     ends = side_by_side([partial(_polish, problem, start) for start in starts[:2]])
@@ -274,10 +274,10 @@ def _turns(loop: ComplexArray, outside: npt.NDArray[np.int64]) -> npt.NDArray[np
     """
     phase = np.angle(1.0 + loop)
     change = np.diff(phase)
-    turned = np.sum(change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi)), axis=1)
+    total = np.sum(change - 2.0 * np.pi * np.rint(change / (2.0 * np.pi)), axis=1)
     least = -np.pi * (1.5 + outside)
     start = np.mod(phase[:, 0] - least, 2.0 * np.pi) + least
-    return np.asarray(np.rint((start + turned) / (2.0 * np.pi)), dtype=np.int64)
+    return np.asarray(np.rint((start + total) / (2.0 * np.pi)), dtype=np.int64)
 
 
 def _linear_tracking(rows: npt.NDArray[np.void], nominal: ComplexArray, harmonics: FloatArray,
@@ -319,8 +319,8 @@ def _polish(problem: Problem, start: FloatArray) -> tuple[float, FloatArray] | N
         chosen = wider
         loops = problem.ensemble.subset(chosen)
         # a little is kept back, so that the optimiser's tolerance does not break a margin
-        kept = np.repeat([0.0, 1e-3, 2e-3], [1, NOMINAL, 3 * chosen.size])
-        x = _slsqp(partial(problem.judged, loops), x, kept)
+        slack = np.repeat([0.0, 1e-3, 2e-3], [1, NOMINAL, 3 * chosen.size])
+        x = _slsqp(partial(problem.judged, loops), x, slack)
         value, *reserves = problem.judged(loops, x[None])[0]
         if min(reserves) < -INFEASIBLE:
             return None  # what a part of the loops forbids, all of them forbid
@@ -336,7 +336,7 @@ class _StalledError(Exception):
 
 
 def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
-           kept: FloatArray) -> FloatArray:
+           slack: FloatArray) -> FloatArray:
     """Minimise judged[:, 0] subject to judged >= kept, of points (g, 5) of the unit cube."""
     path: list[FloatArray] = []
 
@@ -345,7 +345,7 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
 
     @cache
     def at(key: bytes) -> FloatArray:
-        return np.asarray(judged(np.frombuffer(key)[None])[0] - kept)
+        return np.asarray(judged(np.frombuffer(key)[None])[0] - slack)
 
     @cache
     def slopes(key: bytes) -> FloatArray:
@@ -355,7 +355,7 @@ def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
         path.append(x)
         steps = np.where(x < 0.5, DIFFERENCE, -DIFFERENCE)
         # in one piece, since the compiled search reads a row as it lies
-        return np.ascontiguousarray((judged(x + np.diag(steps)) - kept - at(key)).T / steps)
+        return np.ascontiguousarray((judged(x + np.diag(steps)) - slack - at(key)).T / steps)
 
     try:
         x = minimize(
@@ -406,9 +406,9 @@ def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
     """
     needs = needs or Requirements()
     problem = pose(plant, active, ensemble, needs, fixed, bounds)
-    points, disturbance_held = search(problem), True
+    points, rejects_disturbance = search(problem), True
     if not points:
-        disturbance_held = False
+        rejects_disturbance = False
         factor = RELAXED_DISTURBANCE * needs.disturbance_factor
         problem = replace(problem, needs=replace(needs, disturbance_factor=factor))
         points = search(problem)
@@ -425,4 +425,4 @@ def retune(plant: Flying, active: CascadeGains, ensemble: Ensemble,
     (chosen,) = problem.gains(best[None])
     return PidDesign(gains=chosen, figures=assess(plant, chosen, ensemble), before=before,
                      agreeing=sum(value <= (1.0 + AGREED) * objective for value, _ in points),
-                     searches=len(points), disturbance_kept=disturbance_held)
+                     searches=len(points), disturbance_kept=rejects_disturbance)

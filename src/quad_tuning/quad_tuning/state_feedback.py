@@ -85,11 +85,11 @@ class StateFeedback:
         u = self.k_angle * error - self.k_rate * speed - self.k_drive * drive
         return float(u + self.k_integral * total), x
 
-    def moved(self, x: FloatArray, error: float, u: float, *, held: bool = False) -> FloatArray:
-        """States (size,) of the next cycle; `held`: the integral does not change."""
+    def moved(self, x: FloatArray, error: float, u: float, *, limited: bool = False) -> FloatArray:
+        """States (size,) of the next cycle; `limited`: the integral does not change."""
         commands = np.concatenate(([u], x[COMMANDS:]))
         following, after = self._moved(x[DRIVE], x[RATE], commands[self.late])
-        total = x[TOTAL] + (0.0 if held else self.dt * error)
+        total = x[TOTAL] + (0.0 if limited else self.dt * error)
         return np.concatenate(([following, after, total], commands[: self.late]))
 
     def _moved(self, drive: float, speed: float, command: float) -> tuple[float, float]:
@@ -146,12 +146,12 @@ def simulate(flying: Flying, controller: StateFeedback, reference: FloatArray,
     """
     now, own = running(flying, angle=start_angle), np.zeros(controller.size)
     out = np.full((4, reference.size), np.nan)
-    for k, wanted in enumerate(reference):
+    for k, angle_reference in enumerate(reference):
         angle, rate = now.angle, now.rate + (0.0 if noise is None else noise[k])
-        error = wanted - angle
+        error = angle_reference - angle
         raw, own = controller.command(own, rate, error)
         u = min(max(raw, -controller.output_limit), controller.output_limit)
-        own = controller.moved(own, error, u, held=u != raw)
+        own = controller.moved(own, error, u, limited=u != raw)
         now.step(u, torque)
         out[:3, k] = angle, rate, u
     return LoopResponse(*out)

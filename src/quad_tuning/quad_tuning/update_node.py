@@ -45,7 +45,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
     except InvalidNamespaceException as error:
         raise BadInputError('--namespace', 'is not a valid ROS namespace', namespace) from error
     interrupted = threading.Event()
-    said: list[str] = []  # to the user who interrupts
+    lines: list[str] = []  # to the user who interrupts
     with contextlib.ExitStack() as ending:
         # an exception that a signal raises within rclpy may be swallowed there
         before = signal.signal(signal.SIGINT, lambda *_: interrupted.set())
@@ -66,7 +66,7 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             while not until() and time.monotonic() < end:
                 executor.spin_once(timeout_sec=0.1)
                 if interrupted.is_set():
-                    raise KeyboardInterrupt(*said)
+                    raise KeyboardInterrupt(*lines)
             return bool(until())
 
         if not spin(client.service_is_ready, LISTEN_S):
@@ -76,9 +76,9 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
                                                  **(beside or {}),
                                                  **({'aircraft': aircraft} if aircraft else {}),
                                                  **({'rollback': True} if rollback else {})}
-        wanted = event_message(values, '/quad_tune', 0).changed_parameters
-        said.append(GOES_ON)
-        answer = client.call_async(SetParametersAtomically.Request(parameters=wanted))
+        parameters = event_message(values, '/quad_tune', 0).changed_parameters
+        lines.append(GOES_ON)
+        answer = client.call_async(SetParametersAtomically.Request(parameters=parameters))
         there_s = time.monotonic()  # when the bridge was last there
 
         def ended() -> bool:

@@ -39,14 +39,14 @@ class Way:
     first: CascadeGains
 
 
-def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
-    """A safe way to `wanted`; raises DesignRefusedError where there is none.
+def way_to(target: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
+    """A safe way to `target`; raises DesignRefusedError where there is none.
 
     Three kinds are tried: each gain changes as far as it may in each step; the same up to a halt;
     all gains change by equal ratios.
     """
     least = least_on_the_way(active, loops)
-    for way in _tried(wanted, active, loops.axis):
+    for way in _candidates(target, active, loops.axis):
         if all(meets(loops.margins(gains), least).all() and not loops.unstable(gains).any()
                for gains in way.steps[:-1]):
             return way
@@ -56,24 +56,24 @@ def way_to(wanted: CascadeGains, active: CascadeGains, loops: Ensemble) -> Way:
     )
 
 
-def _tried(wanted: CascadeGains, active: CascadeGains, axis: str) -> Iterator[Way]:
-    together = steps_to(wanted, active, axis)
-    yield Way(together, wanted)
+def _candidates(target: CascadeGains, active: CascadeGains, axis: str) -> Iterator[Way]:
+    together = steps_to(target, active, axis)
+    yield Way(together, target)
     for share in HALTS:
-        halt = _between(active, wanted, share)
-        yield Way((*steps_to(halt, active, axis), *steps_to(wanted, halt, axis)), halt)
+        halt = _between(active, target, share)
+        yield Way((*steps_to(halt, active, axis), *steps_to(target, halt, axis)), halt)
     # equal ratios (equal differences for gains near zero) in as many updates as it takes
     for count in range(max(len(together), 1), 65):
-        path = [*(_between(active, wanted, k / count) for k in range(1, count)), wanted]
+        path = [*(_between(active, target, k / count) for k in range(1, count)), target]
         if all(_within(then, now, axis) for now, then in zip([active, *path], path, strict=False)):
             yield Way(tuple(path), path[0])
             return
 
 
-def _between(active: CascadeGains, wanted: CascadeGains, share: float) -> CascadeGains:
+def _between(active: CascadeGains, target: CascadeGains, share: float) -> CascadeGains:
     values = {}
     for field in DESIGNED:
-        a, b = getattr(active, field), getattr(wanted, field)
+        a, b = getattr(active, field), getattr(target, field)
         values[field] = a * (b / a) ** share if min(a, b) > 0.0 else a + share * (b - a)
     return replace(active, **values)
 
@@ -124,11 +124,11 @@ def with_schedule(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, flo
     name = next((key for key in chosen if key.endswith('sag.exponent')), None)
     if name is None or not path:
         return tuple(path)
-    now, wanted, small = active[name], chosen[name], BOUNDS[name].small_step
+    now, target, small = active[name], chosen[name], BOUNDS[name].small_step
     k = 0
-    while now != wanted:
+    while now != target:
         low, high = min(now / LARGEST_FACTOR, now - small), max(now * LARGEST_FACTOR, now + small)
-        now = min(max(wanted, low), high)
+        now = min(max(target, low), high)
         if k == len(path):
             path.append(dict(path[-1]))
         path[k][name] = now

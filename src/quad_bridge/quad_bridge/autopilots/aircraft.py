@@ -43,9 +43,9 @@ class AutopilotAircraft(Aircraft):
         self.gains.want(*kind.reads, *(SID_NAMES if kind.system_id else ()))
         self.takeover = Takeover(kind.means, self.flight, lambda: self.gains.values)
         self.system_id = SystemId(
-            self.flight, kind.means.set_mode, lambda: self.takeover.heard_s
+            self.flight, kind.means.set_mode, lambda: self.takeover.last_setpoint_s
         ) if kind.system_id else None
-        self._ways = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
+        self._modes = (self.takeover, *((self.system_id,) if self.system_id is not None else ()))
         self.craft: Craft | None = None
         self.version: f.Version | None = None
         self.is_another = False
@@ -56,7 +56,7 @@ class AutopilotAircraft(Aircraft):
         self.system, self._now_s = system, now_s
         self._axis, self._injection = 0, Injection.NONE
         self._refusal = ''  # why the running segment is not flown
-        self._requests, self._ask_s, self._doubt_s = 0, -math.inf, -math.inf
+        self._requests, self._ask_s, self._recheck_s = 0, -math.inf, -math.inf
         self.last_cycle: f.Cycle | None = None
 
     @property
@@ -81,7 +81,7 @@ class AutopilotAircraft(Aircraft):
     @property
     def _not_flown(self) -> str:
         """Why the last segment is not flown, or ended early; empty where it did not."""
-        return next(filter(None, (self._refusal, *(way.refusal for way in self._ways))), '')
+        return next(filter(None, (self._refusal, *(mode.refusal for mode in self._modes))), '')
 
     def _pilot_fault(self) -> str:
         """Why nothing may begin now: a fresh line, a pilot's mode, hover."""
@@ -109,8 +109,8 @@ class AutopilotAircraft(Aircraft):
         if parameters is None:
             return  # why the last one was not flown stays to be read
         self._refusal = ''
-        for way in self._ways:
-            way.refusal = ''
+        for mode in self._modes:
+            mode.refusal = ''
         fault = self.cannot(Ability.EXCITE) or ('' if goes_on else self._pilot_fault())
         if axis not in AXES:
             fault = fault or f'axis {axis[:20]!r}: known are {", ".join(AXES)}'
@@ -134,11 +134,11 @@ class AutopilotAircraft(Aircraft):
     @property
     def at_rest(self) -> bool:
         """Whether it has its pilot's mode and its own parameters of SYSTEM ID back."""
-        return all(way.phase is type(way.phase).IDLE for way in self._ways)
+        return all(mode.phase is type(mode.phase).IDLE for mode in self._modes)
 
     def _end(self, reason: str) -> None:
-        for way in self._ways:
-            way.end(reason, self._now_s())
+        for mode in self._modes:
+            mode.end(reason, self._now_s())
 
     def excite(self, value: Vector3, injection: Injection, valid_ms: int) -> None:
         """Take what the schedule wants now; SYSTEM ID plays its own signal."""
@@ -181,14 +181,14 @@ class AutopilotAircraft(Aircraft):
     def doubt(self) -> None:
         """Ask again which aircraft it is: on the same line another may have taken its place."""
         self.gains.sure, self._requests, self._ask_s = False, 0, -math.inf
-        self._doubt_s = self._now_s()
+        self._recheck_s = self._now_s()
 
     def poll(self, now_s: float) -> list[f.Frame]:
         """Say what to send now, beside parameters."""
-        out = [frame for way in self._ways for frame in way.poll(now_s)
+        out = [frame for mode in self._modes for frame in mode.poll(now_s)
                if self.gains.sure or not isinstance(frame, f.ParamSet)]
-        heard = self.flight.beat_s >= self._doubt_s
-        if not self.gains.sure and heard and now_s - self._ask_s > AGAIN_S:
+        is_alive = self.flight.beat_s >= self._recheck_s
+        if not self.gains.sure and is_alive and now_s - self._ask_s > AGAIN_S:
             self._ask_s, self._requests = now_s, self._requests + 1
             if self._requests > REQUESTS and self.gains.aircraft in {'', self._name('')}:
                 self.gains.identify(self._name(''))  # it never says
@@ -199,7 +199,7 @@ class AutopilotAircraft(Aircraft):
     def cycle(self, frame: Inertial, now_s: float) -> f.Cycle | None:
         """A control cycle from one of its attitudes and the latest other messages."""
         self.flight.inertial(frame, now_s)
-        flying = any(way.flying for way in self._ways)
+        flying = any(mode.flying for mode in self._modes)
         flags = f.Flag.EXCITATION if flying else f.Flag.NONE
         if self._not_flown:
             flags |= f.Flag.EXCITATION_REFUSED
@@ -227,7 +227,7 @@ class Connected:
         """It, where it is no aircraft of ours."""
         self.on_change: Callable[[Aircraft], None] = lambda _: None
         self._allow = {'allow_gains': allow_gains, 'allow_excitation': allow_excitation}
-        self._now_s, self._heard_s = now_s, -math.inf
+        self._now_s, self._last_s = now_s, -math.inf
 
     @property
     def last_cycle(self) -> f.Cycle | None:
@@ -241,10 +241,10 @@ class Connected:
 
     def take(self, frame: Any, now_s: float) -> None:
         """Take a frame; a heartbeat says who it is."""
-        if self.autopilot is not None and now_s - self._heard_s > SWAP_S:
+        if self.autopilot is not None and now_s - self._last_s > SWAP_S:
             self.autopilot.doubt()
             self.autopilot.gains.restart()  # what is known of its parameters may be another's
-        self._heard_s = now_s
+        self._last_s = now_s
         if isinstance(frame, f.Heartbeat):
             self._meet(BY_NUMBER.get(frame.autopilot), frame.system)
         if self.autopilot is None:

@@ -26,7 +26,7 @@ AT_ONCE = 8  # names that are asked for at the same time
 STALE_S = 1.0
 """So long after a write an answer may still bear the value of before: ArduPilot answers questions
 in a queue of its own, later than writes."""
-STUBBORN_S = 1.0  # between two tries to write a good value back, once the first have failed
+RETRY_S = 1.0  # between two tries to write a good value back, once the first have failed
 
 
 class State(Enum):
@@ -77,10 +77,10 @@ class ParameterGains:
         self._queue: dict[str, float] = {}  # still to be written, with the value
         self._whole: dict[str, float] = {}  # the set that is written: parameter to value
         self._tries, self._due_s = 0, -math.inf
-        self._shown: float | None = None
+        self._reported: float | None = None
         self._outcome, self._reason = What.REVERTED, ''
         self._foreign = 0
-        self._looked = 0
+        self._checks = 0
         self._replaced: dict[str, tuple[float, float]] = {}
         """By a write of ours: the value of before, and until when it may still come."""
 
@@ -125,22 +125,22 @@ class ParameterGains:
         if self.busy or units is None:
             raise RefusedError(f'the parameters are busy: {self.busy or "its craft is not known"}')
         try:
-            wanted = self._table.parameters(writes, self.values, units)
+            targets = self._table.parameters(writes, self.values, units)
         except UnfitError as error:
             raise RefusedError(str(error)) from error
-        for name, value in wanted.items():
+        for name, value in targets.items():
             if name not in self.values:
                 raise RefusedError(f'{name}: not reported by the autopilot, so no value to '
                                    'return to')
             if not math.isfinite(value):
                 raise RefusedError(f'{name}: must be finite: found {value}')
-        wanted = {name: float32(value) for name, value in wanted.items()}
+        targets = {name: float32(value) for name, value in targets.items()}
         if self.state is State.READY:
             self._good = {n: self.values[n] for n in self._table.written if n in self.values}
             self._good_of = self.aircraft
-        self._whole = self._queue = wanted
+        self._whole = self._queue = targets
         self._go(State.SAVING)
-        self._keep({'trial': {'good': self._good, 'tried': wanted}})
+        self._keep({'trial': {'good': self._good, 'tried': targets}})
 
     def confirm(self) -> None:
         """Keep the set on trial."""
@@ -165,11 +165,11 @@ class ParameterGains:
     def recall(self, record: object) -> None:
         """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
         self._recalled = True
-        good = record.get('good') if isinstance(record, dict) else None
-        if not isinstance(good, dict) or self._good:
+        stored = record.get('good') if isinstance(record, dict) else None
+        if not isinstance(stored, dict) or self._good:
             return
         self._good = {
-            str(name): float(value) for name, value in good.items()
+            str(name): float(value) for name, value in stored.items()
             if name in self._table.written and isinstance(value, int | float)
             and math.isfinite(value)
         }
@@ -196,8 +196,8 @@ class ParameterGains:
         if not self._queue:
             return None
         self._tries += 1
-        stubborn = self.state is State.REVERTING and self._tries > TRIES
-        self._due_s = now_s + (STUBBORN_S if stubborn else REPEAT_S)
+        retries = self.state is State.REVERTING and self._tries > TRIES
+        self._due_s = now_s + (RETRY_S if retries else REPEAT_S)
         name, value = next(iter(self._queue.items()))
         kind = self._kinds.get(name, f.REAL32)
         return f.ParamSet(name, encoded(value, kind, bytewise=self._bytewise), kind=kind)
@@ -293,10 +293,10 @@ class ParameterGains:
             return  # another aircraft's, perhaps
         if value != self._queue[name]:
             if next(iter(self._queue)) == name and self._tries:
-                self._shown, self._due_s = value, -math.inf  # try again at once
+                self._reported, self._due_s = value, -math.inf  # try again at once
             return
         self._queue = {n: v for n, v in self._queue.items() if n != name}
-        self._tries, self._shown, self._due_s = 0, None, -math.inf
+        self._tries, self._reported, self._due_s = 0, None, -math.inf
         if self._queue:
             return
         if self.state is State.WRITING:
@@ -314,16 +314,16 @@ class ParameterGains:
     def _unanswered(self) -> None:
         name, value = next(iter(self._queue.items()))
         words = f'{name}: no answer to {TRIES} tries'
-        if self._shown is not None:
-            words = f'{name}: the autopilot kept {self._shown:g} instead of {value:g}'
+        if self._reported is not None:
+            words = f'{name}: the autopilot kept {self._reported:g} instead of {value:g}'
         self._take_back(What.FAILED, words)
 
     def _look(self, now_s: float) -> Request | None:
         """Read what is on trial, one after the other: another program may have written it."""
         if now_s < self._due_s or not self._whole:
             return None
-        self._due_s, self._looked = now_s + LOOK_S, self._looked + 1
-        return f.ParamRequestRead([*self._whole][self._looked % len(self._whole)])
+        self._due_s, self._checks = now_s + LOOK_S, self._checks + 1
+        return f.ParamRequestRead([*self._whole][self._checks % len(self._whole)])
 
     def _changed(self, name: str, value: float, *, is_first: bool) -> None:
         """Somebody else has written it: a gain, its multiplier, a limit or a filter.
@@ -364,4 +364,4 @@ class ParameterGains:
         self._prove(State.READY, What.READ)
 
     def _go(self, state: State) -> None:
-        self.state, self._tries, self._shown, self._due_s = state, 0, None, -math.inf
+        self.state, self._tries, self._reported, self._due_s = state, 0, None, -math.inf

@@ -63,11 +63,11 @@ def sid_parameters(
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
     steady_s = 2.0 / fields['f0_hz']
-    beside_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
-    record_s = fields['sweep_s'] - beside_s  # so that it has ended when the segment ends
+    extra_s = SET_UP_S + DELAY_S + steady_s + 2.0 * ramp_s
+    record_s = fields['sweep_s'] - extra_s  # so that it has ended when the segment ends
     least_s = max(LEAST_S, 1.05 * steady_s)  # it refuses a sweep as short as its steady start
     if record_s < least_s:
-        raise ValueError(f'the segment is too short for SYSTEM ID: {beside_s:.1f} s go beside the '
+        raise ValueError(f'the segment is too short for SYSTEM ID: {extra_s:.1f} s go beside the '
                          f'sweep, and {least_s:.3g} s must be left of {fields["sweep_s"]:g}')
     return {
         'SID_AXIS': FIRST_AXIS[injection] + axis, 'SID_MAGNITUDE': size,
@@ -80,19 +80,19 @@ class SystemId:
     """One chirp at a time. Times in s on a steady clock."""
 
     def __init__(self, flight: FlightState, set_mode: Callable[[int], f.Command],
-                 heard_s: Callable[[], float]) -> None:
+                 last_setpoint_s: Callable[[], float]) -> None:
         """`heard_s`: when the schedule's last set-point came, s."""
         self.phase = Phase.IDLE
         self.refusal = ''  # why the last chirp did not begin, or ended early
         self.known: dict[str, float] = {}
         self._kinds: dict[str, int] = {}
-        self._flight, self._set_mode, self._heard_s = flight, set_mode, heard_s
+        self._flight, self._set_mode, self._last_setpoint_s = flight, set_mode, last_setpoint_s
         self._before: dict[str, float] = {}
         self._target: dict[str, float] = {}
         self._queue: list[str] = []
         self._guard: Guard | None = None
         self._tries, self._due_s, self._since_s, self._requested_s = 0, -math.inf, 0.0, -math.inf
-        self._begun_s, self._end_s = -math.inf, math.inf
+        self._start_s, self._end_s = -math.inf, math.inf
         self._ask_back = False  # whether the mode from before is to be asked for, once
         self._sure_s = -math.inf  # a heartbeat from then on tells whether the mode was entered
 
@@ -116,7 +116,7 @@ class SystemId:
         """Write the parameters, then enter the mode."""
         self.refusal, self._target = '', dict(parameters)
         self._before = {name: self.known[name] for name in parameters}
-        self._guard, self._begun_s = Guard.of(self._flight), now_s
+        self._guard, self._start_s = Guard.of(self._flight), now_s
         self._queue = [n for n in parameters if n != 'SID_AXIS'] + ['SID_AXIS']
         length_s = sum(parameters[n] for n in NAMES[-3:]) + 2.0 / parameters['SID_F_START_HZ']
         self._end_s = DELAY_S + length_s + 0.5
@@ -157,7 +157,7 @@ class SystemId:
         out: list[f.Frame] = []
         if self.phase in {Phase.WRITING, Phase.ENTERING, Phase.FLYING}:
             fault = self._guard.fault(self._flight, now_s) if self._guard else ''
-            if now_s - max(self._heard_s(), self._begun_s) > LATEST_S:
+            if now_s - max(self._last_setpoint_s(), self._start_s) > LATEST_S:
                 fault = fault or f'the schedule has been silent for {LATEST_S:g} s'
             if fault:
                 self.end(fault, now_s, abort=True)

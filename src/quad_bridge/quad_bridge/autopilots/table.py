@@ -34,7 +34,7 @@ class Row:
     """One gain. In `theirs`, {} is the autopilot's name of the axis, {first} its first letter."""
 
     ours: str
-    theirs: str
+    parameter: str
     limits: Limits | None = None
     """Bounds of the parameter in the autopilot's own list; None: it is never written."""
     yaw_limits: Limits | None = None
@@ -50,7 +50,7 @@ class Row:
 
     def name(self, axis: str) -> str:
         """The parameter's name; `axis` as the autopilot calls it."""
-        return self.theirs.format(axis, first=axis[:1])
+        return self.parameter.format(axis, first=axis[:1])
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Table:
         """Contract name, number of the axis, row and parameter of each gain of an axis."""
         for i, axis in enumerate(AXES):
             for row in self.rows:
-                if '{' in row.theirs or row.ours == D_FILTER:
+                if '{' in row.parameter or row.ours == D_FILTER:
                     yield f'{axis}.{row.ours}', i, row, row.name(self.axes[i])
 
     @property
@@ -82,7 +82,7 @@ class Table:
         """All parameters that are to be read."""
         names = [name for *_, name in self.of_axes()]
         names += [self.multiplier.format(axis) for axis in self.axes if self.multiplier]
-        return tuple(dict.fromkeys([*names, *(row.theirs for row in self.shared)]))
+        return tuple(dict.fromkeys([*names, *(row.parameter for row in self.shared)]))
 
     @property
     def logged(self) -> tuple[str, ...]:
@@ -97,12 +97,13 @@ class Table:
     @property
     def ranges(self) -> dict[str, Limits]:
         """What each parameter may be, in the autopilot's own list."""
-        return {theirs: span for _, i, row, theirs in self.of_axes() if (span := row.span(i))}
+        return {parameter: span for _, i, row, parameter in self.of_axes()
+                if (span := row.span(i))}
 
     @property
     def in_common(self) -> frozenset[str]:
         """Contract names whose parameter is one for all axes."""
-        return frozenset(n for n, _, row, _ in self.of_axes() if '{' not in row.theirs)
+        return frozenset(n for n, _, row, _ in self.of_axes() if '{' not in row.parameter)
 
     def factor(self, row: Row, axis: int, known: Mapping[str, float], units: Units) -> float:
         """Ours per theirs."""
@@ -114,9 +115,10 @@ class Table:
         """Gains by contract name, SI, from parameters; a limit or filter of 0 is left out."""
         known = {now: known[old] for old, now in self.former.items() if old in known} | dict(known)
         gains = {}
-        for ours, axis, row, theirs in self.of_axes():
-            if theirs in known and (known[theirs] > 0.0 or not ours.endswith(('limit', '_hz'))):
-                gains[ours] = float(known[theirs] * self.factor(row, axis, known, units))
+        for gain, axis, row, parameter in self.of_axes():
+            value = known.get(parameter)
+            if value is not None and (value > 0.0 or not gain.endswith(('limit', '_hz'))):
+                gains[gain] = float(value * self.factor(row, axis, known, units))
         for name, unit in zip(AXES, units, strict=True):
             if f'{name}.rate.kp' in gains:
                 gains[f'{name}.rate.output_limit'] = float(unit)
@@ -124,18 +126,18 @@ class Table:
                 if self.d_on_error:
                     gains[f'{name}.rate.d_on'] = 1.0
         for row in self.shared:
-            if known.get(row.theirs, 0.0) > 0.0:
-                gains[row.ours] = float(known[row.theirs] * row.factor)
+            if known.get(row.parameter, 0.0) > 0.0:
+                gains[row.ours] = float(known[row.parameter] * row.factor)
         return gains
 
     def limits(self, axis: int, units: Units) -> dict[str, Limits]:
         """Lowest and highest value, ours, of each gain of an axis that can be written."""
         limits = {}
-        for ours, i, row, _ in self.of_axes():
+        for gain, i, row, _ in self.of_axes():
             span = row.span(i)
             if i == axis and span is not None:
                 factor = self.factor(row, axis, {}, units)
-                limits[ours] = span[0] * factor, span[1] * factor
+                limits[gain] = span[0] * factor, span[1] * factor
         return limits
 
     def parameters(
@@ -146,21 +148,21 @@ class Table:
         Raises UnfitError where one has no parameter, or leaves what the parameter may be.
         """
         parameters: dict[str, float] = {}
-        rows = {ours: (axis, row, theirs) for ours, axis, row, theirs in self.of_axes()}
-        for ours, value in gains.items():
-            entry = rows.get(ours)
+        rows = {gain: (axis, row, parameter) for gain, axis, row, parameter in self.of_axes()}
+        for gain, value in gains.items():
+            entry = rows.get(gain)
             if entry is None or entry[1].limits is None:
-                raise UnfitError(f'{ours}: this autopilot has no such gain that can be set')
-            axis, row, theirs = entry
+                raise UnfitError(f'{gain}: this autopilot has no such gain that can be set')
+            axis, row, parameter = entry
             factor = self.factor(row, axis, known, units)
             new = value / factor if factor else math.nan
             low, high = row.span(axis) or (0.0, 0.0)
             slack = 1e-6 * high
             if not low - slack <= new <= high + slack:
                 raise UnfitError(
-                    f'{ours}: {theirs} must lie in {low:g} .. {high:g}: found {new:.4g}'
+                    f'{gain}: {parameter} must lie in {low:g} .. {high:g}: found {new:.4g}'
                 )
-            parameters[theirs] = min(new, parameters.get(theirs, sys.float_info.max))
+            parameters[parameter] = min(new, parameters.get(parameter, sys.float_info.max))
         return parameters
 
 

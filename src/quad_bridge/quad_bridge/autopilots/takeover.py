@@ -83,7 +83,7 @@ class Takeover:
         self._throttle = 0.0
         self._ask_back = False  # whether the mode from before is to be asked for, once
         self._axis = 0
-        self._wanted, self.heard_s = 0.0, -math.inf
+        self._excitation, self.last_setpoint_s = 0.0, -math.inf
         """The last set-point, and when the schedule was heard last, also beside SYSTEM ID."""
         self._since_s = self._sent_s = self._requested_s = -math.inf
         self._sent: deque[tuple[float, Vector3, Vector3]] = deque(maxlen=64)
@@ -98,7 +98,7 @@ class Takeover:
         """Begin a segment on one axis that `fault` lets begin; in flight the next one follows."""
         flight = self._flight
         if self.phase is Phase.FLYING:
-            self._axis, self._wanted, self.heard_s = axis, 0.0, now_s
+            self._axis, self._excitation, self.last_setpoint_s = axis, 0.0, now_s
             return
         throttle = 0.5 if self._means.climb else flight.hover_throttle(now_s)
         if throttle is None or flight.mode is None or flight.angles is None:
@@ -106,7 +106,7 @@ class Takeover:
             return
         self.refusal, self._axis, self.injection = '', axis, injection
         self._start, self._throttle = Guard.of(flight), throttle
-        self._wanted, self.heard_s = 0.0, now_s
+        self._excitation, self.last_setpoint_s = 0.0, now_s
         self._sent.clear()
         self._go(Phase.STREAMING, now_s)
 
@@ -134,7 +134,7 @@ class Takeover:
     def excite(self, value: float, now_s: float) -> None:
         """Set what is to be added to the axis now."""
         most = MOST.get(self.injection, 0.0)
-        self._wanted, self.heard_s = min(max(value, -most), most), now_s
+        self._excitation, self.last_setpoint_s = min(max(value, -most), most), now_s
 
     def end(self, reason: str, now_s: float, *, abort: bool = False) -> None:
         """Give the mode back."""
@@ -142,7 +142,7 @@ class Takeover:
             return
         if abort:
             self.refusal = self.refusal or reason
-        self._wanted = 0.0
+        self._excitation = 0.0
         entered = self.phase in {Phase.FLYING, Phase.ENTERING}
         is_our_mode = self._flight.mode == self._means.mode
         switched = self.phase is Phase.FLYING and not is_our_mode  # to another's mode
@@ -157,12 +157,12 @@ class Takeover:
         if self.phase is not Phase.FLYING or not self._sent:
             return
         rate = self.injection is Injection.RATE  # beside rates, attitude and time are stale
-        followed = reported.rates if rate else angles_of(reported.q)
+        reported_motion = reported.rates if rate else angles_of(reported.q)
         _, _, reference = min(
             self._sent,
-            key=lambda sent: sum(abs(d) for d in self._differ(followed, sent[1], rate=rate))
+            key=lambda sent: sum(abs(d) for d in self._differ(reported_motion, sent[1], rate=rate))
         )
-        added = self._differ(followed, reference, rate=rate)
+        added = self._differ(reported_motion, reference, rate=rate)
         self.applied = tuple(added[i] if i == self._axis else 0.0 for i in range(3))  # type: ignore[assignment]
 
     def poll(self, now_s: float) -> list[f.Frame]:
@@ -172,8 +172,8 @@ class Takeover:
             return []
         out: list[f.Frame] = []
         self._step(start, now_s, out)
-        silent = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S
-        if now_s - self._sent_s >= PERIOD_S and self._start is not None and not silent:
+        leaves = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S
+        if now_s - self._sent_s >= PERIOD_S and self._start is not None and not leaves:
             self._sent_s = now_s
             out.append(self._set_point(start, now_s))
         return out
@@ -224,14 +224,14 @@ class Takeover:
             return f'{self._means.name} was left by the pilot or the autopilot'
         if flight.mode not in {start.mode, self._means.mode}:
             return 'the pilot has chosen another mode'
-        if self.phase is Phase.FLYING and now_s - self.heard_s > LATEST_S:
+        if self.phase is Phase.FLYING and now_s - self.last_setpoint_s > LATEST_S:
             return f'the schedule has been silent for {LATEST_S:g} s'
         return ''
 
     def _set_point(self, start: Guard, now_s: float) -> f.SetAttitudeTarget:
         flight = self._flight
-        wanted = self._wanted if self.phase is Phase.FLYING else 0.0
-        added = [wanted if i == self._axis else 0.0 for i in range(3)]
+        excitation = self._excitation if self.phase is Phase.FLYING else 0.0
+        added = [excitation if i == self._axis else 0.0 for i in range(3)]
         ends = self.phase is Phase.LEAVING and now_s - self._since_s > LEAVE_S - LEVEL_S
         lean = (0.0, 0.0) if ends else self._lean(start, now_s)
         level = (*lean, start.yaw)

@@ -204,9 +204,9 @@ def _path(
 
 
 def _check_needs(axis: str, target: Mapping[str, float], gains: Mapping[str, float]) -> None:
-    for name, needed, words in _NEEDS:
+    for name, requirement, words in _NEEDS:
         if target.get(f'{axis}.{name}', 0.0) > 0.0:
-            for other in needed:
+            for other in requirement:
                 if not gains.get(f'{axis}.{other}', 0.0) > 0.0:
                     raise RefusedError(f'{axis}.{name}: {words.format(f"{axis}.{other}")}')
 

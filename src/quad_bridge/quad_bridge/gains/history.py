@@ -31,8 +31,8 @@ CLOSE_S = 2.0  # how long the last lines are waited for when the node ends
 
 def default_folder() -> Path:
     """Folder for lasting files: `$ROS_HOME/quad_suite`, or in `~/.ros`."""
-    home = os.environ.get('ROS_HOME')
-    return (Path(home) if home else Path.home() / '.ros') / 'quad_suite'
+    ros_home = os.environ.get('ROS_HOME')
+    return (Path(ros_home) if ros_home else Path.home() / '.ros') / 'quad_suite'
 
 
 class Worker:
@@ -179,19 +179,19 @@ class History:
 
     def _replace(self, path: Path, text: str) -> bool:
         """Replace a file, on the disk when this returns; whether that was done."""
-        fresh = path.with_suffix(f'.{os.getpid()}')
+        temporary = path.with_suffix(f'.{os.getpid()}')
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with fresh.open('w', encoding='utf-8') as file:
+            with temporary.open('w', encoding='utf-8') as file:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
-            fresh.replace(path)
+            temporary.replace(path)
         except OSError as error:
             self.fault = f'{path}: cannot be written ({error.strerror})'
             self._last = {}
             with contextlib.suppress(OSError):
-                fresh.unlink()
+                temporary.unlink()
             return False
         return True
 

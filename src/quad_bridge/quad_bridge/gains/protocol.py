@@ -22,7 +22,7 @@ from quad_bridge.wire import frames as f
 Request = f.GainsCommand | f.ParamSet | f.ParamRequestList | f.ParamRequestRead
 Keep = Callable[[Mapping[str, object], Callable[[bool], None]], None]
 """Writes a record to the disk, {} for none, and says from any thread whether it is there."""
-TRIES, STUBBORN_TRIES = 4, 41
+TRIES, SAFETY_TRIES = 4, 41
 """Tries of one request; of CONFIRM and REVERT, which last until the STM32 decides itself."""
 REPEAT_S, READ_S, QUIET_S = 0.25, 0.5, 0.1
 """Between two tries; between two while reading; silence that ends a list of parameters."""
@@ -94,7 +94,7 @@ class GainProtocol:
         self._writes: dict[str, float] = {}
         self._queue: list[str] = []  # names that are still to be written, or to be read back
         self._watch_ms = 0
-        self._shown: float | None = None
+        self._reported: float | None = None
         """The value that the STM32 reported instead of the written one."""
         self._outcome, self._reason = What.REVERTED, ''
         """The event that follows once the gains are reverted, and its reason."""
@@ -260,7 +260,7 @@ class GainProtocol:
     def _answered(self, frame: f.ParamValue) -> None:
         """Take the value of the parameter that is being written, or read back."""
         if frame.value != self._writes[frame.name]:
-            self._shown, self._due_s = frame.value, -math.inf  # try again at once
+            self._reported, self._due_s = frame.value, -math.inf  # try again at once
             return
         self._queue.pop(0)
         if self._queue:
@@ -304,10 +304,10 @@ class GainProtocol:
         if self.state in {State.CONFIRMING, State.REVERTING}:
             self.events.append(GainEvent(What.LOST, reason='the STM32 does not answer'))
             self._read_again()
-        elif self._queue and self._shown is not None:
+        elif self._queue and self._reported is not None:
             name = self._queue[0]
-            message = f'{name}: the STM32 kept {self._shown:g} instead of {self._writes[name]:g}'
-            self._take_back(What.FAILED, message)
+            self._take_back(What.FAILED, f'{name}: the STM32 kept {self._reported:g} '
+                                         f'instead of {self._writes[name]:g}')
         else:
             name = f'{self._queue[0]}: ' if self._queue else ''
             self._take_back(What.FAILED, name + words)
@@ -332,9 +332,9 @@ class GainProtocol:
         self._read_again()
 
     def _go(self, state: State) -> None:
-        self.state, self._shown, self._due_s = state, None, -math.inf
-        stubborn = state in {State.CONFIRMING, State.REVERTING}
-        self._tries = STUBBORN_TRIES if stubborn else TRIES
+        self.state, self._reported, self._due_s = state, None, -math.inf
+        is_vital = state in {State.CONFIRMING, State.REVERTING}
+        self._tries = SAFETY_TRIES if is_vital else TRIES
 
     def _read_again(self) -> None:
         self._forget()

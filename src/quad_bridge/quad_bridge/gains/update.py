@@ -117,7 +117,7 @@ class GainUpdates:
         self._going_back: list[Reply] = []  # callers that wait for the earlier gains
         self._checked: Callable[[str], None] | None = None
         self._remaining_s = 0.0  # time of flight until the next step, or the confirmation
-        self._looked_s = float('-inf')  # time of the last judgement
+        self._checked_s = float('-inf')  # time of the last judgement
         self._flown = False  # the gains in force have flown well, and the history says so
         self._in_force: Mapping[str, float] = {}  # as last read back or written
         self._good: list[Mapping[str, float]] = []  # sets that have flown well under this bridge
@@ -230,11 +230,11 @@ class GainUpdates:
 
     def _has_flown(self, gains: Mapping[str, float]) -> bool:
         """Whether the active set with these gains is one that has flown well."""
-        wanted = {**self.active, **gains}
+        target = {**self.active, **gains}
         climbs = any(name.startswith('climb.') for name in gains)  # which fly in one mode only
         return self.protocol.whole_sets and not climbs and any(
-            wanted.keys() == good.keys()
-            and all(math.isclose(wanted[n], value, rel_tol=1e-6) for n, value in good.items())
+            target.keys() == good.keys()
+            and all(math.isclose(target[n], value, rel_tol=1e-6) for n, value in good.items())
             for good in self._good
         )
 
@@ -315,9 +315,9 @@ class GainUpdates:
 
     def poll(self, now_s: float) -> Request | None:
         """Frames to send now."""
-        wanted: Request | None = self.protocol.poll(now_s)
+        request: Request | None = self.protocol.poll(now_s)
         self._take_events()
-        return wanted
+        return request
 
     def restarted(self) -> None:
         """Handle a restart of the STM32, or another one."""
@@ -333,8 +333,8 @@ class GainUpdates:
         if flies is not flew:
             self.watch.restart()
         if flies and self.state is State.WATCHING:  # climb gains fly in the height mode only
-            held = frame.flags & f.Flag.HOLD or not self.watch.climbs
-            self._remaining_s -= min(since_s, LINK_S) if held else 0.0
+            counts = frame.flags & f.Flag.HOLD or not self.watch.climbs
+            self._remaining_s -= min(since_s, LINK_S) if counts else 0.0
         injected: Any = (0.0, 0.0, 0.0)
         if frame.injection == f.Injection.RATE:
             injected = flip_body(frame.excitation)
@@ -375,8 +375,8 @@ class GainUpdates:
         """Keep, once, how the gains in force fly where they fly well; the next are held to it."""
         if self._flown or self.state is not State.IDLE or not self.active:
             return
-        if self._cycles.flying and now_s - self._looked_s >= LOOK_S:
-            self._looked_s = now_s
+        if self._cycles.flying and now_s - self._checked_s >= LOOK_S:
+            self._checked_s = now_s
             if self.watch.good:
                 self._flown = True
                 self._good = [*self._good, dict(self.active)]
@@ -579,6 +579,6 @@ class GainUpdates:
         if trouble:
             raise RefusedError(f'the check of the polarity was {trouble}')
         self.polarity.refuse_faults()
-        silent = ', '.join(self.polarity.unchecked(request.gains))
-        if silent:
-            raise RefusedError(f'{silent} did not respond to the pulses: mount it free about it')
+        names = ', '.join(self.polarity.unchecked(request.gains))
+        if names:
+            raise RefusedError(f'{names} did not respond to the pulses: mount it free about it')

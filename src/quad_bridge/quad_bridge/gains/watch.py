@@ -33,7 +33,7 @@ SOUND_RMS_RAD_S = 0.5
 GUSTS_RAD_S = 20.0
 """Gusts shake no aircraft faster: what swings so is its loop (a sound one 0.17 rad/s RMS at
 most in bench/watch.py), and without a flight before the floor alone is allowed there."""
-DISTANT_DEG, DISTANT_PATIENCE_S = 8.0, 0.04
+MAX_DISTANCE_DEG, DISTANCE_PATIENCE_S = 8.0, 0.04
 """Roll or pitch away from the reference, beyond what the reference's own motion explains."""
 LEAD_S = 0.06  # horizon of the angle that is predicted by the rate: a reversal takes that long
 FOLLOW_S, FOLLOW_FACTOR, TURN_S = 0.5, 2.0, 0.25
@@ -111,7 +111,7 @@ class GainWatch:
     def __init__(self, rate_hz: float) -> None:
         """`rate_hz` control cycles per second, 50 or more."""
         self._every = max(1, round(rate_hz / MAX_HZ))
-        self._held: list[tuple[Sequence[float], ...]] = []
+        self._buffer: list[tuple[Sequence[float], ...]] = []
         self._dt, self._climb = self._every / rate_hz, ClimbWatch()
         self._block = round(BLOCK_S / self._dt)  # rows
         centres = np.array(CENTRES_RAD_S)
@@ -121,8 +121,8 @@ class GainWatch:
         average[-1] = RMS_AVERAGE_S
         self._share = (self._dt / average)[:, np.newaxis]
         self._fade = np.exp(-self._dt / (2.0 * average))[:, np.newaxis]
-        self._patience = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
-        self._patience[-1] = 0.3
+        self._delays_s = np.clip(periods, 0.12, 0.5)[:, np.newaxis]
+        self._delays_s[-1] = 0.3
         octaves = np.clip(centres * math.radians(FLOOR_DEG) / math.sqrt(2.0), 0.2, 0.5)
         self._floor = (np.append(octaves, FLOOR_RMS_RAD_S) ** 2)[:, np.newaxis]
         most = np.append(octaves, SOUND_RMS_RAD_S)[:, np.newaxis] ** 2
@@ -138,7 +138,7 @@ class GainWatch:
     def restart(self) -> None:
         """Forget: it takes off or has landed, and how it was handled says nothing of a flight."""
         channels = (len(CENTRES_RAD_S) + 1, 3)
-        self._held.clear()
+        self._buffer.clear()
         self._memory = np.zeros((2, 2, *channels))
         self._energy = np.zeros((2, *channels))  # of the rates, and of what the references explain
         self._explained, self._worst = np.zeros(channels), np.zeros(channels)
@@ -147,7 +147,7 @@ class GainWatch:
         self._last: FloatArray | None = None
         self._slow = np.zeros(3)
         self._distance, self._allowed = np.zeros(2), np.zeros(2)
-        self._allowed_before, self._distant_s = np.zeros(2), np.zeros(2)
+        self._allowed_before, self._exceeded_s = np.zeros(2), np.zeros(2)
         self._near = np.zeros(2, bool)  # it has come to its reference, from how it stood
         self._rows = 0
 
@@ -196,18 +196,18 @@ class GainWatch:
         specific force along the vertical, m/s².
         """
         self._climb.step(up, self._dt / self._every)
-        self._held.append((rates, injected, attitude, reference))
+        self._buffer.append((rates, injected, attitude, reference))
         # only who compares must hurry; one turn over many rows costs a fraction of as many turns
         rows = 1 if self._bound is not None else self._block - self._rows % self._block
-        if len(self._held) >= rows * self._every:
+        if len(self._buffer) >= rows * self._every:
             self._run()
 
     def _run(self) -> None:
         """Work through the rows that are whole: means of rates, the last attitude."""
-        count = len(self._held) // self._every
-        held = np.array(self._held[: count * self._every])
-        del self._held[: count * self._every]
-        rows = held.reshape(count, self._every, 4, 3)
+        count = len(self._buffer) // self._every
+        samples = np.array(self._buffer[: count * self._every])
+        del self._buffer[: count * self._every]
+        rows = samples.reshape(count, self._every, 4, 3)
         rates, injected = np.moveaxis(np.add.reduce(rows[:, :, :2], axis=1) / self._every, 1, 0)
         attitude, reference = np.moveaxis(rows[:, -1, 2:], 1, 0)
         if self._last is None:
@@ -245,7 +245,7 @@ class GainWatch:
 
         Only `axes` are looked at: what gains have not changed, they have not spoilt.
         """
-        if len(self._held) >= self._every:
+        if len(self._buffer) >= self._every:
             self._run()
         self._watched = np.array([axis in axes for axis in AXES])
         predicted = predicted or {}
@@ -258,7 +258,7 @@ class GainWatch:
         self._peak = np.array([p.peak**2 for p in predictions])
         before = self._before() if self._blocks else self._sound
         self._near[:] = bool(self._blocks)
-        self._distant_s[:] = 0.0
+        self._exceeded_s[:] = 0.0
         self._bound = self._most(ratio * before)
         self._over_s[:] = 0.0
 
@@ -277,11 +277,11 @@ class GainWatch:
         swings = self._climb.alarm()
         if swings is not None:
             return swings
-        if (self._distant_s > DISTANT_PATIENCE_S).any():
-            i = int(np.argmax(self._distant_s))
+        if (self._exceeded_s > DISTANCE_PATIENCE_S).any():
+            i = int(np.argmax(self._exceeded_s))
             measured, limit = np.degrees((self._distance[i], self._limit()[i]))
             return f'{AXES[i]}: away from its reference {measured:.2f} deg, bound {limit:.2f}'
-        late = self._over_s > self._patience
+        late = self._over_s > self._delays_s
         if not late.any():
             return None
         bound = self._bound + self._peak * self._explained
@@ -326,13 +326,13 @@ class GainWatch:
 
     def _limit(self) -> FloatArray:
         """(2,) rad that roll and pitch may be away from their reference."""
-        return math.radians(DISTANT_DEG) + self._allowed + MARGIN * self._allowed_before
+        return math.radians(MAX_DISTANCE_DEG) + self._allowed + MARGIN * self._allowed_before
 
     def _compare(self, bound: FloatArray) -> None:
-        distant = self._distance > self._limit()
-        self._near |= ~distant | (self._rows * self._dt > UPRIGHT_S)
-        distant &= self._near & self._watched[:2]
-        self._distant_s = np.where(distant, self._distant_s + self._dt, 0.0)
+        exceeded = self._distance > self._limit()
+        self._near |= ~exceeded | (self._rows * self._dt > UPRIGHT_S)
+        exceeded &= self._near & self._watched[:2]
+        self._exceeded_s = np.where(exceeded, self._exceeded_s + self._dt, 0.0)
         over = (self._energy[0] > bound + self._peak * self._explained) & self._watched
         self._over_s = np.where(over, self._over_s + self._dt, 0.0)
 

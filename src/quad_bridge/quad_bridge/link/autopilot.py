@@ -129,7 +129,7 @@ class Autopilot:
         """Messages with rates of exactly zero to the angles at which these began."""
         self._without_rates: set[str] = set()
         self._rpm: dict[int, float] = {}
-        self._look_ns = self._looked_ns = 0
+        self._look_ns = self._checked_ns = 0
         self._battery: int | None = None
         self._turns = False  # whether any rate has ever been other than zero
         self.generic = False  # whether its heartbeat bears no name
@@ -155,7 +155,7 @@ class Autopilot:
         """Whether its log is being fetched: all streams give way to that, through no fault."""
         if self._log_comes and not now:
             self.restarted()
-            self._look_ns = self._looked_ns = 0
+            self._look_ns = self._checked_ns = 0
         self._log_comes = now
 
     def note(self, name: str) -> None:
@@ -187,9 +187,9 @@ class Autopilot:
         gyro = self._measured(frame.name, frame.gyro)
         if gyro is None or not self.feeds(INERTIAL, frame.name, now_ns):
             return None
-        fresh = self._alive(INERTIAL, 'ATTITUDE', now_ns)
+        is_recent = self._alive(INERTIAL, 'ATTITUDE', now_ns)
         grain_us = 1 if frame.name == 'HIGHRES_IMU' else 1000
-        angles = self._angles if fresh else None
+        angles = self._angles if is_recent else None
         return Inertial(frame.time_us, gyro, frame.accel, angles, grain_us)
 
     def slow(self, frame: SlowSensors, now_ns: int) -> list[tuple[str, SlowSensors]]:
@@ -253,8 +253,8 @@ class Autopilot:
         """Messages to request now: those that come too rarely, or not at all."""
         if now_ns < self._look_ns or self._log_comes:
             return []
-        passed_s = 1e-9 * (now_ns - self._looked_ns) if self._looked_ns else math.inf
-        self._look_ns, self._looked_ns = now_ns + ROUND_NS, now_ns
+        passed_s = 1e-9 * (now_ns - self._checked_ns) if self._checked_ns else math.inf
+        self._look_ns, self._checked_ns = now_ns + ROUND_NS, now_ns
         for stream in self._streams.values():
             stream.rate_hz, stream.count = stream.count / passed_s, 0
         commands = []
@@ -298,9 +298,9 @@ class Autopilot:
 
     def missing(self, now_ns: int) -> list[str]:
         """Topics of the contract that stay empty."""
-        silent = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
+        topics = [topic for topic in SOURCES if self._source(topic, now_ns) is None]
         never = NEVER[:1] if self.also_hz else NEVER  # the others come from ATTITUDE_TARGET
-        return [*(topic for topic in silent if topic not in OPTIONAL), *never]
+        return [*(topic for topic in topics if topic not in OPTIONAL), *never]
 
     def _alive(self, topic: str, name: str, now_ns: int) -> bool:
         last_ns, lasting_ns = self._sources.get((topic, name), (0, -1))
@@ -322,8 +322,8 @@ class Autopilot:
                 also = TELEMETRY if name == TELEMETRY[0] and source == name else (name,)
                 targets |= {n: max(TARGET_HZ[topic], targets.get(n, 0.0)) for n in also}
                 stream = self._streams.get(name)
-                tried = stream is not None and (stream.requests or stream.rate_hz > 0.0)
-                if name == source or (source is None and not tried):
+                requested = stream is not None and (stream.requests or stream.rate_hz > 0.0)
+                if name == source or (source is None and not requested):
                     break
         targets |= {name: hz for name, hz in self.also_hz.items() if name not in targets}
         return fitted(targets, self.budget)
@@ -337,8 +337,8 @@ class Autopilot:
             self._zeros.pop(name, None)
             self._without_rates.discard(name)
         elif self._angles is not None:
-            begun = self._zeros.setdefault(name, self._angles)
-            turns = zip(self._angles, begun, strict=True)
+            first = self._zeros.setdefault(name, self._angles)
+            turns = zip(self._angles, first, strict=True)
             if max(abs(math.remainder(a - b, math.tau)) for a, b in turns) > MOVED_RAD:
                 self._without_rates.add(name)
         return None if name in self._without_rates else rates

@@ -77,7 +77,7 @@ class ClockEstimator:
         self.one_way = False
         self._block.clear()
 
-    def add_arrival(self, device_ns: int, arrived_ns: int) -> None:
+    def add_arrival(self, device_ns: int, arrival_ns: int) -> None:
         """Take a message's device time and arrival, from an aircraft that answers no TIMESYNC.
 
         Of each block the one that took least counts.
@@ -86,15 +86,15 @@ class ClockEstimator:
             return
         if len(self._block) >= MAX_IN_BLOCK:
             self._block.clear()  # its time stands still
-        self._block.append((device_ns, arrived_ns))
+        self._block.append((device_ns, arrival_ns))
         if device_ns - self._block[0][0] < BLOCK_NS:
             if device_ns < self._block[0][0]:
                 self.reset()
             return
-        device, arrived = min(self._block, key=lambda trip: trip[1] - trip[0])
+        device, arrival = min(self._block, key=lambda trip: trip[1] - trip[0])
         self._block.clear()
         self.one_way = True
-        self._take(_Trip(device, arrived - device, 0))
+        self._take(_Trip(device, arrival - device, 0))
 
     def add(self, sent_ns: int, device_ns: int, received_ns: int) -> bool:
         """Take one round trip (host ns, device ns, host ns); False where it was dropped.

@@ -20,7 +20,7 @@ _LONGEST = 1_000_000  # cycles: a larger step of the counter is a restart
 MIN_US, MAX_US = 1_000, 20_000
 """Allowed deviation of a step, doubled by each false alarm: some aircraft have uneven cycles."""
 AGREES_NS = 1_000_000  # a round trip this close to the estimate: the clock has not jumped
-PATIENCE_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
+TIMEOUT_NS = 300_000_000  # without an answer to TIMESYNC for so long nothing is held back
 LEARN = 1.0 / 64.0  # share of each new period in the mean, of which one cycle says little
 DRIFT = 1e-3  # share of a gap by which the period that was learned may be off
 PAST_NS = 100_000_000  # a smaller delay needs no explanation: a busy host
@@ -57,7 +57,7 @@ class StepGuard:
             elif self._since_ns is None:
                 self._since_ns = now_ns
                 self.alarms += 1
-        if self._since_ns is not None and now_ns - self._since_ns > PATIENCE_NS:
+        if self._since_ns is not None and now_ns - self._since_ns > TIMEOUT_NS:
             self._false_alarm()
         return self.waiting
 
@@ -83,7 +83,7 @@ class LateGuard:
     """Compares a cycle's arrival with the time that its stamp would have."""
 
     def __init__(self) -> None:
-        self.anew = False  # device time fits a start since the last cycle that was heard before
+        self.fits_restart = False  # device time fits a start since the last cycle before
         self._late_ns = 0
         self.restart()
 
@@ -102,16 +102,16 @@ class LateGuard:
         """Whether so much between stamp and arrival needs an explanation."""
         return late_ns > self._allowed_ns
 
-    def step(self, late_ns: int, now_ns: int, *, anew: bool) -> bool:
+    def step(self, late_ns: int, now_ns: int, *, fits_restart: bool) -> bool:
         """Take a cycle's lateness as it arrives; whether it has to wait."""
         self._late_ns = late_ns
         if late_ns <= PAST_NS:
             self.restart()
         elif self._since_ns is None:
             if self.late(late_ns):
-                self._since_ns, self.anew = now_ns, anew
-        elif now_ns - self._since_ns > PATIENCE_NS:
-            self.reset = self.anew
+                self._since_ns, self.fits_restart = now_ns, fits_restart
+        elif now_ns - self._since_ns > TIMEOUT_NS:
+            self.reset = self.fits_restart
             self.believe(late_ns)
         return self.waiting
 

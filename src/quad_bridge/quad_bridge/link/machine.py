@@ -136,10 +136,10 @@ class Link:
     def armed_lately(self, now_ns: int) -> bool | None:
         """Whether it is armed by a cycle, else a heartbeat, of just now; None without any."""
         if self.last_cycle is not None:
-            fresh = now_ns - self.last_cycle_ns < CYCLE_OLD_NS
+            is_recent = now_ns - self.last_cycle_ns < CYCLE_OLD_NS
         else:
-            fresh = self.peer is not None and now_ns - self._peer_ns < PEER_OLD_NS
-        return self.armed if fresh else None
+            is_recent = self.peer is not None and now_ns - self._peer_ns < PEER_OLD_NS
+        return self.armed if is_recent else None
 
     def opened(self) -> None:
         """Reset after opening the port; the aircraft may be another one."""

@@ -116,7 +116,7 @@ class SerialPort:
         self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
         self._tail = b''  # rest of the last write: no frame is torn
         self.status = PortStatus()
-        self._patience_s = HALF_OPEN_S[0]
+        self._timeout_s = HALF_OPEN_S[0]
         self._skip = 0
         self._thread = threading.Thread(target=self._run, name='serial reader', daemon=True)
 
@@ -144,12 +144,12 @@ class SerialPort:
             try:
                 if self._tail:
                     self._tail = self._tail[_write(self._port, self._tail) :]
-                written = 0 if self._tail else _write(self._port, data)
+                count = 0 if self._tail else _write(self._port, data)
             except FAULTS as error:
-                written, self._tail = 0, b''
+                count, self._tail = 0, b''
                 self._note(detail=_one_line(error))
-            if written:
-                self._tail = data[written:]
+            if count:
+                self._tail = data[count:]
                 return True
             self._note(dropped_writes=self.status.dropped_writes + 1)
             return False
@@ -197,7 +197,7 @@ class SerialPort:
 
     def _read_until_fault(self) -> None:
         port, received_s = self._port, clock().now_s()
-        opened = identity(self.status.path)
+        file_id = identity(self.status.path)
         while not self._stop.is_set():
             try:
                 data = _read(port)
@@ -209,17 +209,17 @@ class SerialPort:
                 self._note(state=PortState.UNREACHABLE if refused else PortState.OPEN)
             if data:
                 received_s = clock().now_s()
-                self._patience_s = HALF_OPEN_S[0]
+                self._timeout_s = HALF_OPEN_S[0]
                 self._on_bytes(data)
                 continue
             self._on_silence()
-            if identity(self.status.path) != opened:
+            if identity(self.status.path) != file_id:
                 reason = 'its name leads to another device now, or to none'
                 self._note(state=PortState.HUNG_UP, detail=reason)
                 return
-            if clock().now_s() - received_s > self._patience_s:
+            if clock().now_s() - received_s > self._timeout_s:
                 # half-open: a peer that went without a word, or the wrong one of several
-                self._patience_s = min(2.0 * self._patience_s, HALF_OPEN_S[1])
+                self._timeout_s = min(2.0 * self._timeout_s, HALF_OPEN_S[1])
                 self._skip += 1
                 return
 

@@ -84,8 +84,9 @@ class LinkReport:
         }
         if link.cycles == previous.cycles:
             values |= {
-                f'{name} (Hz)': f'{rate_hz:.1f} of {wanted_hz:.0f}'
-                for name, (rate_hz, wanted_hz) in link.autopilot.rates(round(1e9 * now_s)).items()
+                f'{name} (Hz)': f'{rate_hz:.1f} of {requested_hz:.0f}'
+                for name, (rate_hz, requested_hz)
+                in link.autopilot.rates(round(1e9 * now_s)).items()
             }
         level, text = self._verdict(port, counts, previous, now_s)
         clock = clock_status(link, behind_ns, unset=unset, now_s=now_s)
@@ -161,11 +162,11 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         'restarts': clock.restarts,
         'uneven steps of device time': link.stamping.guard.alarms,
         'wraps at 32 bits': link.stamping.device_time.wraps,
-        'cycles held back': link.stamping.held,
+        'cycles held back': link.stamping.withheld,
         'false times, dropped': link.stamping.false_times,
     }
-    deaf, silent_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns
-    if silent_s <= SILENT_S and not math.isnan(clock.too_long_s):
+    deaf, age_s = 'no answer to TIMESYNC', now_s - 1e-9 * link.answered_ns
+    if age_s <= SILENT_S and not math.isnan(clock.too_long_s):
         deaf = f'TIMESYNC takes {1e3 * clock.too_long_s:.0f} ms there and back, more than 10'
     if link.decoder.counts.unverified:
         deaf += ' (the aircraft signs its frames and answers only who has its key: set key_file)'
@@ -182,8 +183,8 @@ def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> St
         text = f'{deaf}: stamps are times of arrival, late by the transport'
     elif clock.round_trip_s > 2.0 * COARSE_S:
         text = f'converged, but stamps may be off by up to {500.0 * clock.round_trip_s:.1f} ms'
-    elif silent_s > SILENT_S:
-        text = f'converged, but {deaf} for {silent_s:.0f} s: does the aircraft hear us?'
+    elif age_s > SILENT_S:
+        text = f'converged, but {deaf} for {age_s:.0f} s: does the aircraft hear us?'
     else:
         level, text = OK, 'converged'
     return Status('clock', level, text, values)

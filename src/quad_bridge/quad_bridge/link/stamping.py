@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from quad_bridge.link.autopilot import INERTIAL, Inertial
 from quad_bridge.link.clock import ClockEstimator, DeviceTime
-from quad_bridge.link.guards import PATIENCE_NS, LateGuard, StepGuard
+from quad_bridge.link.guards import TIMEOUT_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
 FUTURE_NS = 100_000_000  # a stamp later than its arrival by more is false
@@ -63,7 +63,7 @@ class Stamping:
         self.out: list[Event] = []
         self.clock, self.device_time = ClockEstimator(), DeviceTime()
         self.guard, self.late = StepGuard(), LateGuard()
-        self.held = 0
+        self.withheld = 0
         """Not published: no clock yet, or a stamp that runs backwards or lies in the future."""
         self.false_times = 0
         """Not published, beside cycles: a time that runs backwards or is days off."""
@@ -73,14 +73,14 @@ class Stamping:
         self._stamped: f.Cycle | Inertial | None = None  # what has this stamp
         self._waiting: list[Callable[[int], None]] = []
         """Frames that wait until it is known whether the aircraft's clock is still the same."""
-        self._arrived_ns = self._waits_since_ns = 0
+        self._arrival_ns = self._waits_since_ns = 0
 
     def restart(self) -> None:
         """Forget: the aircraft has restarted, or is another one."""
         for part in (self.device_time, self.guard, self.late):
             part.restart()
         self.clock.reset()
-        self.held += len(self._waiting)
+        self.withheld += len(self._waiting)
         self._waiting.clear()
         self._stamped = None
         self._anchor_us = 0
@@ -131,10 +131,10 @@ class Stamping:
         grains = time_us // grain_us
         stamp = partial(self._stamp_other, topic, frame, grains, grain_us, device_ns)
         late_ns = self._late_ns(device_ns, now_ns) if self._sure else 0
-        if self._waiting and now_ns - self._waits_since_ns > 2 * PATIENCE_NS:
+        if self._waiting and now_ns - self._waits_since_ns > 2 * TIMEOUT_NS:
             # cycles would have lost their patience by now: they have stopped, others go on
-            if self.late.waiting and self.late.anew:
-                self._begin_anew()
+            if self.late.waiting and self.late.fits_restart:
+                self._drop_other_clock()
             else:
                 self.late.believe(late_ns)
                 self._release(now_ns)
@@ -156,7 +156,7 @@ class Stamping:
             off_ns = (sent_ns + now_ns) // 2 - self.clock.host_ns(device_ns)
             self.late.trip(sent_ns, off_ns, now_ns - sent_ns)
         if self.late.reset:
-            self._begin_anew()
+            self._drop_other_clock()
             device_ns = aircraft_ns
         self._anchor_us = device_ns // 1000
         accepted = self.clock.add(sent_ns, device_ns, now_ns)
@@ -183,13 +183,13 @@ class Stamping:
     def _timed(
         self, frame: f.Cycle | Inertial, device_ns: int, now_ns: int, *, uneven: bool
     ) -> None:
-        unheard_ns, self._arrived_ns = now_ns - self._arrived_ns, now_ns
+        unheard_ns, self._arrival_ns = now_ns - self._arrival_ns, now_ns
         stamp = partial(self._stamp_timed, frame, device_ns)
         if self._sure:
             late_ns = self._late_ns(device_ns, now_ns)
-            waits = self.late.step(late_ns, now_ns, anew=device_ns < unheard_ns)
+            waits = self.late.step(late_ns, now_ns, fits_restart=device_ns < unheard_ns)
             if self.late.reset:
-                self._begin_anew()
+                self._drop_other_clock()
             elif waits or uneven:
                 self._wait(stamp, now_ns)
                 return
@@ -201,9 +201,9 @@ class Stamping:
             self._waits_since_ns = now_ns
         self._waiting.append(stamp)
 
-    def _begin_anew(self) -> None:
+    def _drop_other_clock(self) -> None:
         """Drop late frames of another clock."""
-        restarted = self.late.anew
+        restarted = self.late.fits_restart
         self.restart()
         if restarted:
             self._on_restart()
@@ -218,7 +218,7 @@ class Stamping:
         """Publish a stamped frame unless its stamp runs backwards or lies in the future."""
         stamp_ns = self.clock.host_ns(device_ns) if self.clock.converged else 0
         if stamp_ns <= self.last_ns or stamp_ns > now_ns + FUTURE_NS:
-            self.held += 1
+            self.withheld += 1
             return
         self.last_ns, self._stamped = stamp_ns, frame
         self.out.append(Stamped(frame, stamp_ns, INERTIAL))

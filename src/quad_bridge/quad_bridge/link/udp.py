@@ -70,7 +70,7 @@ class UdpPort:
                 return self._sent(data)
             since_s = time.monotonic() - PEER_TIMEOUT_S
             last = sorted([*self._peers.items()], key=lambda peer: peer[1])[-MAX_PEERS:]
-            self._peers = {peer: heard_s for peer, heard_s in last if heard_s > since_s}
+            self._peers = {peer: last_s for peer, last_s in last if last_s > since_s}
             return max((self._to(peer, data) for peer in [*self._peers]), default=len(data))
         except BlockingIOError:
             return 0

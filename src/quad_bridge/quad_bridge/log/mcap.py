@@ -183,10 +183,10 @@ class McapFile:
         self._close_chunk()
         content = text('rosbag2') + text_map({'serialized_metadata': metadata})
         start = self._end
-        described = record(METADATA, content)
+        description = record(METADATA, content)
         end_of_data = record(DATA_END, struct.pack('<I', 0))
-        place = struct.pack('<QQ', start, len(described)) + text('rosbag2')
-        summary_start = start + len(described) + len(end_of_data)
+        place = struct.pack('<QQ', start, len(description)) + text('rosbag2')
+        summary_start = start + len(description) + len(end_of_data)
         groups: list[tuple[int, Sequence[bytes]]] = [
             (SCHEMA, list(self._schemas.values())),
             (CHANNEL, [channel for _, channel in self._channels.values()]),
@@ -205,7 +205,7 @@ class McapFile:
         footer += struct.pack('<QQ', summary_start, summary_start + len(summary))
         ending = summary + offsets + footer
         ending += struct.pack('<I', zlib.crc32(ending))
-        self._append(described + end_of_data + ending + MAGIC)
+        self._append(description + end_of_data + ending + MAGIC)
         os.fsync(self._fd)
         self.abandon()
 

@@ -161,8 +161,8 @@ def messages_of(
         is_sqlite = plain.name.endswith('.db3')
         stored = _sqlite_messages(plain, file) if is_sqlite else _mcap_messages(plain, file, judge)
         for message in stored:
-            packed = message.data[:4] == ZSTD_MAGIC
-            yield message._replace(data=plain_message(message.data)) if packed else message
+            compressed = message.data[:4] == ZSTD_MAGIC
+            yield message._replace(data=plain_message(message.data)) if compressed else message
 
 
 def _mcap_messages(

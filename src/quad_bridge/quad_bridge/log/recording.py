@@ -104,7 +104,7 @@ class Recording:
         self._lost = 0
         self._dequeued = 0
         """Messages that the writer has removed from the queue."""
-        self._written = 0
+        self._count = 0
         self._longest_sync_s = 0.0
         self._failure = ''
         self._stopping = threading.Event()
@@ -116,7 +116,7 @@ class Recording:
         """Path, counts, failure."""
         return RecordingStatus(
             path=self._writer.path,
-            written=self._written,
+            written=self._count,
             waiting=len(self._queue),
             dropped=self._dropped,
             lost=self._lost,
@@ -202,7 +202,7 @@ class Recording:
             if topic not in self._writer.counts:
                 self._writer.add_topic(topic, *self._declared[topic])
             self._writer.write(topic, time_ns, data)
-            self._written += 1
+            self._count += 1
 
     def _fail(self, error: Exception) -> None:
         """Close the bag as it is; dequeued messages that are not in it count as dropped."""
@@ -218,8 +218,8 @@ class Recording:
             end = f'not closed ({second}); `ros2 run quad_bridge recover` reads it'
             if not self._writer.path.exists():
                 end = 'gone, unless it was moved: `ros2 run quad_bridge recover` reads it there'
-        self._written = sum(self._writer.counts.values())
-        self._dropped += self._dequeued - self._written + len(self._queue)
+        self._count = sum(self._writer.counts.values())
+        self._dropped += self._dequeued - self._count + len(self._queue)
         self._queue.clear()
         self._failure = f'{self._writer.path}: {reason}; the bag is {end}'
 

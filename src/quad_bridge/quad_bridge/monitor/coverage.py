@@ -34,7 +34,7 @@ CHANCE = 0.01  # a coherence that noise alone would reach with this probability 
 class Coverage:
     """Which frequencies of the wanted band, rad/s, are covered."""
 
-    wanted: tuple[float, float]
+    target: tuple[float, float]
     w: FloatArray  # (m,) frequencies inside the wanted band, log-spaced
     coherent: npt.NDArray[np.bool_]  # (m,)
 
@@ -58,14 +58,14 @@ class Coverage:
         return bool(self.coherent.size) and bool(self.coherent.all())
 
 
-def reachable(wanted: tuple[float, float], segment_s: float) -> tuple[float, float]:
+def reachable(target: tuple[float, float], segment_s: float) -> tuple[float, float]:
     """The part of a band, rad/s, that a segment of this length can cover; all if it is unknown.
 
     Its low end rises to the frequency of which a period fits into SPARED of the segment.
     """
-    low, high = wanted
+    low, high = target
     if not segment_s > 0.0:
-        return wanted
+        return target
     return min(max(low, 2.0 * np.pi * MIN_PERIODS / (SPARED * segment_s)), high), high
 
 
@@ -75,13 +75,13 @@ def needed_s(low: float) -> float:
 
 
 def coverage(
-    parts: Sequence[tuple[FloatArray, FloatArray]], dt: float, wanted: tuple[float, float],
+    parts: Sequence[tuple[FloatArray, FloatArray]], dt: float, target: tuple[float, float],
 ) -> Coverage:
-    """Coverage by unbroken parts of (excitation (n,), rate (n,)), dt in s, `wanted` in rad/s."""
-    w = np.geomspace(*wanted, POINTS)
+    """Coverage by unbroken parts of (excitation (n,), rate (n,)), dt in s, `target` in rad/s."""
+    w = np.geomspace(*target, POINTS)
     xx, yy, windows = np.zeros(POINTS), np.zeros(POINTS), np.zeros(POINTS)
     xy = np.zeros(POINTS, dtype=complex)
-    step = max(1, int(2.0 * np.pi / (FINENESS * wanted[1] * dt)))
+    step = max(1, int(2.0 * np.pi / (FINENESS * target[1] * dt)))
     for x, y in parts:
         seconds = x.size * dt
         covered = w * seconds >= 2.0 * np.pi * MIN_PERIODS
@@ -93,7 +93,7 @@ def coverage(
             windows[covered] += _windows(w[covered], seconds)
     squared = np.abs(xy) ** 2 / np.maximum(xx * yy, np.finfo(float).tiny)
     chance = 1.0 - CHANCE ** (1.0 / np.maximum(windows - 1.0, 1.0))
-    return Coverage(wanted, w, (windows > 0.0) & (squared > np.maximum(COHERENT, chance)))
+    return Coverage(target, w, (windows > 0.0) & (squared > np.maximum(COHERENT, chance)))
 
 
 def _thinned(x: FloatArray, every: int) -> FloatArray:

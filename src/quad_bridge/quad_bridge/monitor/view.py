@@ -64,7 +64,7 @@ class State:
         ]  # fmt: skip
         return [line[:WIDTH] for line in out]
 
-    def wanted(self, band: tuple[float, float]) -> tuple[float, float]:
+    def reachable_band(self, band: tuple[float, float]) -> tuple[float, float]:
         """The part of the band `band` that the schedule's training segments can cover."""
         return reachable(band, self._value('train_s'))
 
@@ -81,7 +81,7 @@ class State:
         """The call to the operator; empty where there is none."""
         if self.coverage is None or not self.covered:
             return ''
-        low, high = self.coverage.wanted
+        low, high = self.coverage.target
         band, axis = f'{low:.2g} to {high:g} rad/s covered', self.segment.get('axis', '')
         if not self.suffices(validation_s):
             return f'training suffices: {band}; go on to validation'
@@ -108,9 +108,9 @@ class State:
         entry = self._entry(end)
         if entry is None:
             return _line(label, '-', 'nothing received')
-        silent_s = now_s - entry.at_s
-        if silent_s > STALE_S:
-            return _line(label, 'stale', f'no news for {silent_s:.0f} s: {entry.message}')
+        age_s = now_s - entry.at_s
+        if age_s > STALE_S:
+            return _line(label, 'stale', f'no news for {age_s:.0f} s: {entry.message}')
         return _line(label, entry.word, entry.message)
 
     def _imu(self, now_s: float) -> str:
@@ -124,13 +124,13 @@ class State:
     def _recording(self, now_s: float) -> str:
         entry, bag = self._entry('recording'), PurePath(self.bag).name  # a line is short
         if entry is not None:
-            silent_s = now_s - entry.at_s
-            if silent_s > STALE_S and self.bag_state == 'recording':
+            age_s = now_s - entry.at_s
+            if age_s > STALE_S and self.bag_state == 'recording':
                 # in slow simulated time every node's report is as late
                 others = any(now_s - e.at_s <= STALE_S for e in self.entries.values())
                 return _line('recording', 'ERROR' if others else 'stale',
-                             f'no news of the logger for {silent_s:.0f} s, which recorded {bag}')
-            if silent_s <= STALE_S and entry.level:
+                             f'no news of the logger for {age_s:.0f} s, which recorded {bag}')
+            if age_s <= STALE_S and entry.level:
                 return _line('recording', entry.word, entry.message)
             if (self.bag_state == 'recording' and entry.at_s > self.bag_at_s
                     and 'path' not in entry.values):
@@ -183,7 +183,7 @@ class State:
         if coverage is None:
             little = f'{axis} too little yet to say'.strip()
             return [_line('coverage', '-', little), _line('', '', flown)]
-        low, high = coverage.wanted
+        low, high = coverage.target
         if self.target_band is not None and low > self.target_band[0]:
             flown += f'; {self.target_band[0]:g} rad/s needs {needed_s(self.target_band[0]):.0f} s'
         band = f'{coverage.band[0]:.2g} to {coverage.band[1]:.3g}' if coverage.band else 'nothing'

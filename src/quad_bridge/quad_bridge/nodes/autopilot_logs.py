@@ -41,7 +41,7 @@ class AutopilotLogs:
         self._by_itself = by_itself
         self._fetch, self._store = LogFetch(), LogStore(run)
         self._fetch.there = self._store.there
-        self._flew, self._announced, self._shown_pct = False, '', -1
+        self._flew, self._announced, self._logged_pct = False, '', -1
         self._finishing = False
 
     def configure(self) -> None:
@@ -111,7 +111,7 @@ class AutopilotLogs:
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
         self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s,
                           by_time=aircraft.kind.logs_by_time)
-        self._finishing, self._shown_pct = False, -1
+        self._finishing, self._logged_pct = False, -1
         self._publish('fetching', '')
         return ''
 
@@ -119,8 +119,8 @@ class AutopilotLogs:
         fetch, log = self._fetch, self._node.get_logger()
         if fetch.phase is Phase.FETCHING and fetch.size:
             pct = 25 * int(4.0 * fetch.got / fetch.size)
-            if pct > self._shown_pct:
-                self._shown_pct = pct
+            if pct > self._logged_pct:
+                self._logged_pct = pct
                 words = f'log of the autopilot: {pct} % of {fetch.size / 1e6:.1f} MB'
                 log.info(words)
         if fetch.phase is Phase.DONE and not self._finishing:

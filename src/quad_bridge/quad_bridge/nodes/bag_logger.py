@@ -69,7 +69,7 @@ class BagLogger(ManagedNode):
             if topic not in TOPIC_TYPES:
                 raise BadInputError('parameter topics', 'is not a topic of the contract', topic)
         self._craft = description.declared_craft(self)
-        self._described: dict[bytes, bool] = {}  # descriptions heard, and whether they count
+        self._descriptions: dict[bytes, bool] = {}  # descriptions heard, and whether they count
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
         self._aside = None if clock().simulated else Aside()  # in lockstep each one is waited for
@@ -189,7 +189,7 @@ class BagLogger(ManagedNode):
             partial(self._receive, topic), qos, raw=True, event_callbacks=lost,
             callback_group=self._aside,
         )  # fmt: skip
-        self.look_seldom(subscription)
+        self.poll_rarely(subscription)
         self._subscribed[topic] = subscription, qos
 
     def _offers(self, topic: str) -> list[Any]:
@@ -233,8 +233,8 @@ class BagLogger(ManagedNode):
             gaps = self._gaps.setdefault(topic, Gaps())
             lost = gaps.lost_before(number, lambda: len(self._offers(topic)))
             recording.count_lost(lost)
-        arrived_ns = 0 if self._simulated else info.get('received_timestamp')
-        self._put(recording, topic, data, arrived_ns or self._now_ns())
+        arrival_ns = 0 if self._simulated else info.get('received_timestamp')
+        self._put(recording, topic, data, arrival_ns or self._now_ns())
 
     def take(self, topic: str, data: bytes) -> None:
         """Record a message that is published in this process; in any thread."""
@@ -249,8 +249,8 @@ class BagLogger(ManagedNode):
 
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""
-        if data not in self._described:
-            if len(self._described) >= MAX_TEXTS:  # a flood
+        if data not in self._descriptions:
+            if len(self._descriptions) >= MAX_TEXTS:  # a flood
                 return False
             text, own = deserialize_message(data, String).data, self._craft
             if own is None:
@@ -259,10 +259,10 @@ class BagLogger(ManagedNode):
                 words = ''
             else:
                 words = 'the parameter robot_description holds: that of another node is left aside'
-            self._described[data] = own is None and not words
+            self._descriptions[data] = own is None and not words
             if words:
                 self.get_logger().warning(words)
-        return self._described[data]
+        return self._descriptions[data]
 
     def _lose(self, topic: str, event: Any) -> None:
         """Count what the middleware reports, where messages are not numbered."""
@@ -296,8 +296,8 @@ class BagLogger(ManagedNode):
                 self._tell_foreign(topic)
         entries = [recording_status(status, self._last, self._free())]
         if not self._clock_runs:
-            silent = 'time is simulated, and nothing comes on /clock: nothing is recorded'
-            entries.append(Status('clock', WARN, silent))
+            text = 'time is simulated, and nothing comes on /clock: nothing is recorded'
+            entries.append(Status('clock', WARN, text))
         entries += [*self.bounds(), *self.fence.entries()]
         self._diagnostics.publish(diagnostics.diagnostic_array(self, str(self._folder), entries))
 

@@ -80,12 +80,12 @@ class Fence:
             self._reported_s, self._before, self._reported = now_s, self._reported, self.failed
         if not self.failed:
             return []
-        fresh = self.failed - self._before
-        text = f'{fresh} callbacks failed since the last report: see the log'
-        if not fresh:
+        new = self.failed - self._before
+        text = f'{new} callbacks failed since the last report: see the log'
+        if not new:
             text = 'no callback has failed since the last report'
         values = {'failed callbacks': self.failed}
-        return [Status('callbacks', WARN if fresh else OK, text, values)]
+        return [Status('callbacks', WARN if new else OK, text, values)]
 
     def around(self, callback: Callable[..., None]) -> Callable[..., None]:
         """`callback`, for a thread of its own, that never raises."""

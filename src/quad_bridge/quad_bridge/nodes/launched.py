@@ -100,14 +100,15 @@ def argument(name: str, default: str) -> Any:
 
 def arguments(*names: str, **defaults: str) -> list[Any]:
     """Declarations of launch arguments; those without a default are not set."""
-    given = dict.fromkeys((*COMMON, *names), '') | defaults
-    return [argument(name, default) for name, default in given.items()]
+    defaults_of = dict.fromkeys((*COMMON, *names), '') | defaults
+    return [argument(name, default) for name, default in defaults_of.items()]
 
 
 def values(context: Any, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """The parameters that were given in this launch."""
-    given = context.launch_configurations
-    return {name: typed(given[name], kind) for name, kind in kinds.items() if given.get(name)}
+    configurations = context.launch_configurations
+    return {name: typed(configurations[name], kind) for name, kind in kinds.items()
+            if configurations.get(name)}
 
 
 def typed(text: str, kind: Any) -> Any:

@@ -22,10 +22,10 @@ from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.status import WARN, Status
 
 MAX_BYTES = 65_536  # largest message: all gains at once are a tenth of that
-SELDOM_S, LOOK_S = 1.0, 0.02  # how often, and for how long
+IDLE_POLL_S, LOOK_S = 1.0, 0.02  # how often, and for how long
 
 
-class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
+class RarePolling(ReentrantCallbackGroup):  # type: ignore[misc]
     """Entities that the executor looks at for a moment every second.
 
     rclpy waits for two events of QoS at each publisher and subscription, and pays for each of them
@@ -41,7 +41,7 @@ class Seldom(ReentrantCallbackGroup):  # type: ignore[misc]
         del entity
         now_s = time.monotonic()
         if now_s >= self._next_s:
-            self._next_s, self._until_s = now_s + SELDOM_S, now_s + LOOK_S
+            self._next_s, self._until_s = now_s + IDLE_POLL_S, now_s + LOOK_S
         return now_s < self._until_s
 
 
@@ -83,7 +83,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )
         self._fault: Exception | None = None
-        self._seldom = Seldom()
+        self._rare = RarePolling()
         self._entities: list[tuple[Callable[[Any], object], Any]] = []  # destroyer, entity
         self._configured = 0  # so many of them `configure` has created
 
@@ -150,14 +150,14 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
 
     def _keep(self, entity: Any, destroy: Callable[[Any], object]) -> Any:
         self._entities.append((destroy, entity))
-        self.look_seldom(entity)
+        self.poll_rarely(entity)
         return entity
 
-    def look_seldom(self, entity: Any) -> None:
+    def poll_rarely(self, entity: Any) -> None:
         """Have the executor look seldom at the events of a publisher or subscription."""
         for handler in getattr(entity, 'event_handlers', ()):
-            handler.callback_group = self._seldom
-            self._seldom.add_entity(handler)
+            handler.callback_group = self._rare
+            self._rare.add_entity(handler)
 
     def _destroy(self, first: int) -> None:
         """Destroy all entities from the one of this number on, the last one first."""
@@ -198,7 +198,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
         """Configure, and look seldom at the events of the entities."""
         answer = self._try(self.configure)
         for publisher in self.publishers:  # rclpy's own too
-            self.look_seldom(publisher)
+            self.poll_rarely(publisher)
         self._configured = len(self._entities)
         if self._fault is not None:
             self._destroy(0)

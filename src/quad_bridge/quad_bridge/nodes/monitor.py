@@ -137,7 +137,7 @@ class Monitor(Node):  # type: ignore[misc]
             self._new = 0
             parts, dt = self._pairs.parts()
             if dt > 0.0 and not self._state.covered:
-                self._state.coverage = coverage(parts, dt, self._state.wanted(self._band))
+                self._state.coverage = coverage(parts, dt, self._state.reachable_band(self._band))
         if len(self._stamps) > 1:
             step_s = 1e-9 * float(np.median(np.diff(np.array(self._stamps))))
             if step_s > 0.0:

@@ -95,11 +95,11 @@ def declared(
 
 def refuse_arguments(name: str) -> None:
     """Raise BadInputError for what no node takes: rclpy ignores what is not behind --ros-args."""
-    ours, own = True, list[str]()
+    is_own, own = True, list[str]()
     for word in sys.argv[1:]:
         if word in {'--ros-args', '--'}:
-            ours = word == '--'
-        elif ours:
+            is_own = word == '--'
+        elif is_own:
             own.append(word)
     if {'-h', '--help'} & set(own):
         prefixes = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)

@@ -160,14 +160,14 @@ class SerialBridge(ManagedNode):
         )
         self._applied = stream(Vector3Stamped, '/excitation/applied')
         self._rc = stream(Joy, '/rc/in')
-        made = self._messages
+        messages = self._messages
         self._others: dict[str, tuple[Any, Callable[[Any, int], Any]]] = {
-            BATTERY: (stream(BatteryState, BATTERY), made.battery),
-            COMPASS: (stream(MagneticField, COMPASS), made.mag),
-            PRESSURE: (stream(FluidPressure, PRESSURE), made.baro),
-            INERTIAL: (imu, made.inertial),
-            MOTORS: (motors, partial(self._of_motors, made.outputs)),
-            ROTORS: (stream(JointState, ROTORS), partial(self._of_motors, made.rotors)),
+            BATTERY: (stream(BatteryState, BATTERY), messages.battery),
+            COMPASS: (stream(MagneticField, COMPASS), messages.mag),
+            PRESSURE: (stream(FluidPressure, PRESSURE), messages.baro),
+            INERTIAL: (imu, messages.inertial),
+            MOTORS: (motors, partial(self._of_motors, messages.outputs)),
+            ROTORS: (stream(JointState, ROTORS), partial(self._of_motors, messages.rotors)),
         }
         self._active = self.publisher(ParameterEvent, '/gains/active', STATE)
         self._diagnostics = self.publisher(DiagnosticArray, '/diagnostics', EVENT)

@@ -73,9 +73,9 @@ class GainServices:
             count = len(request.parameters)
             if count > MAX_PARAMETERS:
                 raise RefusedError(f'at most {MAX_PARAMETERS} parameters: found {count}')
-            wanted = {'source': SOURCE, **conversion.values_of(request.parameters)}
+            values = {'source': SOURCE, **conversion.values_of(request.parameters)}
             self._waiting.append((clock().now_s() + GAINS_S, done))
-            self._ask(wanted, lambda good, why: _settle(done, (good, why)))
+            self._ask(values, lambda ok, why: _settle(done, (ok, why)))
 
         return await _with_outcome(response, begin)
 
@@ -198,7 +198,7 @@ class OperatorServices:
                 raise RefusedError(words)
             self._send(self._test.ask(
                 conversion.values_of(request.parameters),
-                lambda good, why: _settle(done, (good, why)), clock().now_s(), armed=self._armed(),
+                lambda ok, why: _settle(done, (ok, why)), clock().now_s(), armed=self._armed(),
             ))  # fmt: skip
 
         return await _with_outcome(response, begin)
@@ -252,8 +252,8 @@ async def _with_outcome(response: Any, begin: Callable[[Any], None]) -> Any:
         begin(done)
     except RefusedError as error:
         _settle(done, (False, str(error)))
-    good, why = await done
-    response.result = SetParametersResult(successful=good, reason=why)
+    ok, why = await done
+    response.result = SetParametersResult(successful=ok, reason=why)
     return response
 
 

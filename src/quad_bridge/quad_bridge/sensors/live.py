@@ -50,13 +50,13 @@ class LiveSensors:
         self._correct = correct
         self._armed = False
         self._request: EstimateRequest | None = None
-        self._fresh: Correction | None = self.current
+        self._pending: Correction | None = self.current
         """Applies from the next stamp on; none at first, whatever another bridge subtracted."""
 
     @property
     def idle(self) -> bool:
         """Whether the last change has reached a published stamp."""
-        return self._fresh is None
+        return self._pending is None
 
     def status(self) -> Status:
         """Which bias is subtracted, from which stamp on, and what it was estimated from."""
@@ -94,9 +94,9 @@ class LiveSensors:
 
     def stamped(self, stamp_ns: int) -> Correction:
         """The bias to subtract from the message with this stamp."""
-        if self._fresh is not None:
+        if self._pending is not None:
             with self._lock:
-                self.current, self._fresh = replace(self._fresh, since_ns=stamp_ns), None
+                self.current, self._pending = replace(self._pending, since_ns=stamp_ns), None
         return self.current
 
     def restarted(self) -> None:
@@ -105,7 +105,7 @@ class LiveSensors:
             self._standing.clear()
             self.rest, self._armed = None, False
             self.words, self.warned = NOT_YET, False
-            self._fresh = Correction()
+            self._pending = Correction()
 
     # Called in the executor's thread.
 
@@ -144,5 +144,5 @@ class LiveSensors:
         self.warned, self.rest = False, estimate
         if self._correct:
             with self._lock:
-                self._fresh = Correction(estimate.gyro_bias)
+                self._pending = Correction(estimate.gyro_bias)
         return self.words

@@ -24,9 +24,9 @@ MIN_COVERED = 1.2  # least span in each axis, in radii of the compass: both ends
 ALONE = 0.5  # of the largest change: a second channel that moves by more is a mix
 MAX_OFF_G = 0.35  # one of six positions that is this far off the best board was not held
 SCALE = (0.8, 1.2)  # of a sound accelerometer: data sheets say 3 %
-HELD = 0.025  # weight of a position's direction, which a hand misses by degrees, to its length's
+BY_DIRECTION = 0.025  # weight of a position's direction beside its length: hands err by degrees
 MAX_OFFSET_M_S2 = 5.0  # half of gravity; more is a broken axis
-FEWEST_FIELDS = 50  # some seconds of a compass
+MIN_FIELDS = 50  # some seconds of a compass
 BATTERY_ON_V = 0.5
 ROUND_SHARE = 0.15  # largest distance of the field's points from a sphere, in radii
 
@@ -120,9 +120,9 @@ def six_positions(raw: Mapping[str, FloatArray]) -> Values:
     place = GRAVITY_M_S2 * np.array(list(FORCES.values()))
     # as if held exactly: raw = offset + force_body @ A, A = turn / scale, by least squares
     solved, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), place]), force, rcond=None)
-    offset, shaped = solved[0], solved[1:]
-    scale = 1.0 / np.maximum(np.linalg.norm(shaped, axis=0), 1e-6)
-    rotation = _nearest(shaped * scale)
+    offset, scale_terms = solved[0], solved[1:]
+    scale = 1.0 / np.maximum(np.linalg.norm(scale_terms, axis=0), 1e-6)
+    rotation = _nearest(scale_terms * scale)
     off = force - offset - place @ (rotation / scale)
     worst = int(np.argmax(np.linalg.norm(off, axis=1)))
     if np.linalg.det(rotation) < 0.0 or np.linalg.norm(off[worst]) > MAX_OFF_G * GRAVITY_M_S2:
@@ -165,10 +165,10 @@ def _of_length_g(
         of_length = np.hstack([-corrected * scale, corrected * (force - offset)]) / length
         of_direction = np.vstack([np.hstack([np.diag(-scale), np.diag(one)])
                                   for one in force - offset])  # fmt: skip
-        missed = np.concatenate([length[:, 0] - GRAVITY_M_S2,
-                                 HELD * (corrected - place @ rotation).ravel()])  # fmt: skip
-        slopes = np.vstack([of_length, HELD * of_direction])
-        step, *_ = np.linalg.lstsq(slopes, -missed, rcond=None)
+        residual = np.concatenate([length[:, 0] - GRAVITY_M_S2,
+                                   BY_DIRECTION * (corrected - place @ rotation).ravel()])
+        slopes = np.vstack([of_length, BY_DIRECTION * of_direction])
+        step, *_ = np.linalg.lstsq(slopes, -residual, rcond=None)
         offset, scale = offset + step[:3], scale + step[3:]
     return offset, scale, _nearest(place.T @ ((force - offset) * scale))
 
@@ -179,7 +179,7 @@ def compass(raw: FloatArray) -> Values:
     |m|^2 = 2 c m + r^2 - |c|^2, linear in the centre c. Raises RefusedError where they cover too
     little of it, or are no sphere.
     """
-    if len(raw) < FEWEST_FIELDS:
+    if len(raw) < MIN_FIELDS:
         raise RefusedError(f'the compass: {len(raw)} fields are too few; is there one?')
     solved, *_ = np.linalg.lstsq(
         np.column_stack([2.0 * raw, np.ones(len(raw))]), (raw**2).sum(axis=1), rcond=None
@@ -198,16 +198,16 @@ def compass(raw: FloatArray) -> Values:
     return {f'compass.offset_{axis}': float(centre[i]) for i, axis in enumerate('xyz')}
 
 
-def divider(shown_v: float, true_v: float, now: float) -> Values:
+def divider(board_v: float, true_v: float, now: float) -> Values:
     """The battery's divider, by a voltmeter."""
-    if not (shown_v > BATTERY_ON_V and true_v > BATTERY_ON_V):
-        raise RefusedError(f'the board shows {shown_v:.2f} V: is the battery on?')
-    return {'battery.divider': now * true_v / shown_v}
+    if not (board_v > BATTERY_ON_V and true_v > BATTERY_ON_V):
+        raise RefusedError(f'the board shows {board_v:.2f} V: is the battery on?')
+    return {'battery.divider': now * true_v / board_v}
 
 
-def outputs(seen: Mapping[int, int], now: Mapping[str, float]) -> Values:
+def outputs(places: Mapping[int, int], now: Mapping[str, float]) -> Values:
     """Which output drives which motor: `seen` has the place (1..4) of each motor that was spun."""
-    if sorted(seen.values()) != [1, 2, 3, 4]:
-        raise RefusedError(f'places {list(seen.values())}: each of 1 to 4 once; spin them again')
+    if sorted(places.values()) != [1, 2, 3, 4]:
+        raise RefusedError(f'places {list(places.values())}: each of 1 to 4 once; spin them again')
     return {f'motors.output_{place}': now[f'motors.output_{motor}']
-            for motor, place in seen.items()}  # fmt: skip
+            for motor, place in places.items()}  # fmt: skip

@@ -23,7 +23,7 @@ from quad_bridge.wire.signing import Signing
 CHANNELS = 9  # of a receiver; the raw ones follow the corrected ones
 READ_S, WRITE_S, STEP_S = 10.0, 10.0, 0.05  # longest for all values, and between looks
 REST_S = 1.5  # over it the specific force of a position is averaged
-FEWEST_CYCLES = 10  # of them
+MIN_CYCLES = 10  # of them
 STILL_RAD_S = 0.15  # range of the rates over REST_S: a hand that holds it still stays below
 STEADY_M_S2 = 1.0  # between the halves of REST_S: a steady turn of 0.14 rad/s has no such range
 
@@ -41,7 +41,7 @@ class Talk:
         self._queue: list[f.Frame] = []
         self._acks: list[int] = []
         self.texts: list[str] = []
-        self.kept: Mapping[str, float] = {}
+        self.stored: Mapping[str, float] = {}
         """All parameters as they were last read back, also where a later write failed."""
         self.cycle: f.Cycle | None = None
         self.channels: tuple[int, ...] = ()
@@ -107,7 +107,7 @@ class Talk:
         missing = [row.name for row in SET_UP if row.name not in self.values]
         if missing:
             raise RefusedError(f'{missing[0]}: this firmware does not know it; flash a newer one')
-        self.kept = self.values
+        self.stored = self.values
 
     @property
     def armed(self) -> bool:
@@ -118,16 +118,16 @@ class Talk:
         """Write a set, read it back, keep it. Raises RefusedError where that fails."""
         self._protocol.events.clear()
         self._protocol.write({WIRE_NAMES[name]: value for name, value in values.items()}, 0)
-        for wanted in (What.COMMITTED, What.CONFIRMED):
+        for expected in (What.COMMITTED, What.CONFIRMED):
             self._until(lambda: bool(self._protocol.events), WRITE_S,
                         lambda: 'no answer to the set')
             event = self._protocol.events.pop(0)
-            if event.what is not wanted:
+            if event.what is not expected:
                 remedy = '; it is armed: disarm it first' if self.armed else ''
                 raise RefusedError(f'not written: {event.reason or event.what.value}{remedy}')
-            if wanted is What.COMMITTED:
+            if expected is What.COMMITTED:
                 self._protocol.confirm()
-        self.kept = self.values
+        self.stored = self.values
 
     def pulses(self) -> tuple[float, ...]:
         """The receiver's pulses as they come, µs, by its own channels."""
@@ -144,11 +144,11 @@ class Talk:
         self.wait(0.5)
         self._forces, self._rates = [], []
         self.wait(REST_S)
-        if len(self._forces) < FEWEST_CYCLES:
+        if len(self._forces) < MIN_CYCLES:
             raise RefusedError('no control cycles are received')
         forces, half = np.array(self._forces), len(self._forces) // 2
-        turned = np.linalg.norm(forces[:half].mean(axis=0) - forces[half:].mean(axis=0))
-        if np.ptp(np.array(self._rates), axis=0).max() > STILL_RAD_S or turned > STEADY_M_S2:
+        change = np.linalg.norm(forces[:half].mean(axis=0) - forces[half:].mean(axis=0))
+        if np.ptp(np.array(self._rates), axis=0).max() > STILL_RAD_S or change > STEADY_M_S2:
             raise RefusedError('it moved: hold it still')
         mean: FloatArray = forces.mean(axis=0)
         return mean

@@ -174,36 +174,36 @@ class Wizard:
 
     def _battery(self) -> dict[str, float]:
         self._talk.wait(1.0)
-        shown = self._talk.volts
-        true = self._number(f'the board shows {shown:.2f} V, the voltmeter', shown, 0.0, 65.0)
-        return measure.divider(shown, true, self._talk.values['battery.divider'])
+        board_v = self._talk.volts
+        true = self._number(f'the board shows {board_v:.2f} V, the voltmeter', board_v, 0.0, 65.0)
+        return measure.divider(board_v, true, self._talk.values['battery.divider'])
 
     def _outputs(self) -> dict[str, float]:
         if self._ask('  type OFF once all propellers are off: ').strip().upper() != 'OFF':
             raise RefusedError('no motor is spun with a propeller on')
         throttle = self._number('throttle, 0 to 1', USUAL_THROTTLE, 0.01, MAX_THROTTLE)
-        seen, wrong = {}, []
+        places, wrong = {}, []
         for motor in range(1, 5):
             self._ready(f'motor {motor} spins for {SPIN_S:g} s')
             self._talk.spin(motor, throttle, SPIN_S)
             place = int(self._number(f'which one was it ({PLACES})', motor, 1.0, 4.0))
             clockwise = place in CLOCKWISE
             direction = 'clockwise' if clockwise else 'counter-clockwise'
-            seen[motor] = place
+            places[motor] = place
             if not self._yes(f'  did it turn {direction}, seen from above'):
                 wrong.append(place)
         for place in wrong:
             self._tell(f'  motor {place}: swap two of its three wires, so that it turns round')
-        return measure.outputs(seen, self._talk.values)
+        return measure.outputs(places, self._talk.values)
 
 
-def written(talk: Talk, wanted: Mapping[str, float]) -> dict[str, float]:
+def written(talk: Talk, target: Mapping[str, float]) -> dict[str, float]:
     """Write what differs, as the wire carries it; what that was.
 
     Where nothing differs all is written: a firmware that could not read what it had kept has begun
     with the table's values, and flies none, equal ones neither, before a set is confirmed.
     """
-    carried = {name: float(np.float32(value)) for name, value in wanted.items()}
+    carried = {name: float(np.float32(value)) for name, value in target.items()}
     changed = {name: value for name, value in carried.items() if value != talk.values.get(name)}
     if carried:
         talk.write(changed or carried)
@@ -227,14 +227,14 @@ def save(path: Path, aircraft: str, values: Mapping[str, float]) -> None:
     set_up = {name: float(values[name]) for name in NAMES}
     entry = {'aircraft': aircraft, 'written': f'{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}',
              'set_up': set_up}  # fmt: skip
-    fresh = path.with_name(f'.{path.name}.new')
+    temporary = path.with_name(f'.{path.name}.new')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh.write_text(yaml.safe_dump(entry, sort_keys=False), encoding='utf-8')
+        temporary.write_text(yaml.safe_dump(entry, sort_keys=False), encoding='utf-8')
         if path.is_file() and not _holds(path, set_up):
-            made = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
-            path.replace(path.with_name(f'{path.stem}_{made:%Y%m%dT%H%M%S%fZ}{path.suffix}'))
-        fresh.replace(path)
+            date = datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
+            path.replace(path.with_name(f'{path.stem}_{date:%Y%m%dT%H%M%S%fZ}{path.suffix}'))
+        temporary.replace(path)
     except OSError as error:
         raise BadInputError(str(path), f'cannot be written: {error.strerror}') from error
 
@@ -340,14 +340,14 @@ def _set_up(args: argparse.Namespace) -> int:
     talk = Talk(line.wait, time.monotonic, signing_from(args.key))
     with contextlib.closing(line):
         talk.read()
-        path, read = (args.folder or default_folder()) / talk.aircraft / FILE, talk.kept
+        path, read = (args.folder or default_folder()) / talk.aircraft / FILE, talk.stored
         try:
             if restored is None:
                 Wizard(talk, _ask, lambda text: say(f'{text}\n')).run(args.only)
             else:
                 say(f'{len(written(talk, restored))} values written\n')
         finally:  # also of a wizard that ends half-way: its steps are in the aircraft already
-            if talk.kept is not read or not path.is_file():
-                save(path, talk.aircraft, talk.kept)
+            if talk.stored is not read or not path.is_file():
+                save(path, talk.aircraft, talk.stored)
         say(f'{path}\n')
     return 0

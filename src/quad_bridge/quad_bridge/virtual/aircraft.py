@@ -191,7 +191,7 @@ class Aircraft:
 def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
     """The settings with which the firmware flies this profile."""
     firmware, sensors = profile.firmware, profile.sensors
-    wanted = {
+    settings = {
         'receiver.arm_channel': 0.0,  # it is armed by the bridge, or from the start
         'receiver.hold_channel': 8.0,
         **firmware.gains,
@@ -201,7 +201,7 @@ def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:
     gains = []
     for name, row in ROWS.items():
         start = row.start[AXES.index(split(name)[0]) if len(row.start) > 1 else 0]
-        value = float(np.float32(wanted.get(name, start)))
+        value = float(np.float32(settings.get(name, start)))
         lowest, highest = row.limits or (value, value)
         if not np.float32(lowest) <= value <= np.float32(highest):
             what = f'the firmware accepts {lowest:g} to {highest:g}'

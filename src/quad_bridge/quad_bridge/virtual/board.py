@@ -106,9 +106,9 @@ class EmulatedBoard(Board):
         super().__init__(line, process)
         self.path, self._link = self._pseudo_terminal(), link
         if link is not None:
-            fresh = link.with_name(f'.{link.name}.{os.getpid()}')
-            fresh.symlink_to(self.path)
-            fresh.replace(link)
+            temporary = link.with_name(f'.{link.name}.{os.getpid()}')
+            temporary.symlink_to(self.path)
+            temporary.replace(link)
 
     def _pseudo_terminal(self) -> str:
         output = self._process.stdout.readline().decode() if self._process.stdout else ''

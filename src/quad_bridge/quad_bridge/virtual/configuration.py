@@ -129,5 +129,5 @@ def _scalar(hint: object, value: object, where: str) -> object:
     if hint in (bool, str) and isinstance(value, hint):
         return value
     names = {float: 'a finite number', int: 'a whole number', bool: 'true or false', str: 'text'}
-    wanted = names.get(hint, str(hint))  # type: ignore[call-overload]
-    raise ConfigurationError(where, f'needs {wanted}, is {value!r:.80}')
+    expected = names.get(hint, str(hint))  # type: ignore[call-overload]
+    raise ConfigurationError(where, f'needs {expected}, is {value!r:.80}')

@@ -38,7 +38,7 @@ INPUTS = 10
 """Columns of what reaches a cycle from outside: armed 0/1, injection 0..4 (none, attitude, rate,
 control, thrust), excitation (3), sticks -1..1, throttle 0..1, height mode 0/1."""
 MAX_DELAY = 4  # cycles
-MAX_HELD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
+MAX_HOLD = 0.08  # the most that the pilot adds to the throttle to hold the height, either way
 NORMALS_PER_STEP = 9
 NORMALS_PER_CYCLE = 7
 
@@ -97,11 +97,11 @@ class Machine(NamedTuple):
 
 
 @kernel
-def held_throttle(machine: Machine, throttle: float) -> float:
+def pilot_throttle(machine: Machine, throttle: float) -> float:
     """The pilot's throttle, which adds to a trim what holds the height."""
     state = machine.state
     hold = -machine.climb_kp * state[POSITION + 2] - machine.climb_kd * state[VELOCITY + 2]
-    return float(min(1.0, max(0.0, throttle + min(MAX_HELD, max(-MAX_HELD, hold)))))
+    return float(min(1.0, max(0.0, throttle + min(MAX_HOLD, max(-MAX_HOLD, hold)))))
 
 
 @kernel
@@ -125,7 +125,7 @@ def begin(
     for i in range(INPUTS):
         used[i] = inputs[i]
     if inputs[HOLD] < 0.5:
-        used[THROTTLE] = held_throttle(machine, inputs[THROTTLE])
+        used[THROTTLE] = pilot_throttle(machine, inputs[THROTTLE])
     volts = battery_voltage(state, machine.plant)
     log[29] = _fly(
         machine.firmware.ctypes.data, machine.gains.ctypes.data, used.ctypes.data, volts,
@@ -161,16 +161,16 @@ def advance(machine: Machine, normals: FloatArray, extra: FloatArray) -> None:
 
 
 @kernel
-def look(machine: Machine, seen: FloatArray) -> None:
+def look(machine: Machine, out: FloatArray) -> None:
     """Write (OBSERVED,): time, true rates (3), angles (3), thrusts (4), battery voltage."""
     state, plant = machine.state, machine.plant
     voltage = battery_voltage(state, plant)
-    seen[0] = state[TIME]
+    out[0] = state[TIME]
     for i in range(3):
-        seen[1 + i] = state[RATES + i]
-    euler_from_quaternion(state[QUAT : QUAT + 4], seen[4:7])
-    motor_thrusts(state, plant, voltage, seen[7:11])
-    seen[11] = voltage
+        out[1 + i] = state[RATES + i]
+    euler_from_quaternion(state[QUAT : QUAT + 4], out[4:7])
+    motor_thrusts(state, plant, voltage, out[7:11])
+    out[11] = voltage
 
 
 def _entries(digest: str) -> tuple[Callable[..., None], ...]:
@@ -198,13 +198,13 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
 
     @entry
     def measure_cycle(
-        machine: Machine, cycle: int, throttle: float, normals: FloatArray, seen: FloatArray
+        machine: Machine, cycle: int, throttle: float, normals: FloatArray, out: FloatArray
     ) -> None:
         """Write (2,) the throttle that the pilot gives, the battery's voltage."""
         _ = digest
         sense_cycle(machine.sensed, machine.state, machine.chips, normals, cycle)
-        seen[0] = held_throttle(machine, throttle)
-        seen[1] = battery_voltage(machine.state, machine.plant)
+        out[0] = pilot_throttle(machine, throttle)
+        out[1] = battery_voltage(machine.state, machine.plant)
 
     @entry
     def move_cycle(
@@ -224,9 +224,9 @@ def _entries(digest: str) -> tuple[Callable[..., None], ...]:
         advance(machine, normals, extra)
 
     @entry
-    def observe(machine: Machine, seen: FloatArray) -> None:
+    def observe(machine: Machine, out: FloatArray) -> None:
         _ = digest
-        look(machine, seen)
+        look(machine, out)
 
     return run_cycles, begin_cycle, measure_cycle, move_cycle, advance_step, observe
 

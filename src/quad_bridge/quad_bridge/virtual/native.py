@@ -34,12 +34,12 @@ def _folders() -> Iterator[Path]:
 
 def built_file(name: str) -> Path:
     """The built file of this name; raises ConfigurationError where there is none."""
-    looked = list(dict.fromkeys(_folders()))
-    for folder in looked:
+    folders = list(dict.fromkeys(_folders()))
+    for folder in folders:
         if (folder / name).is_file():
             return folder / name
     raise ConfigurationError(
-        name, f'not in {", ".join(map(str, looked))}',
+        name, f'not in {", ".join(map(str, folders))}',
         remedy='make qemu' if name.endswith('.elf') else 'make build (needs a C compiler)',
     )
 

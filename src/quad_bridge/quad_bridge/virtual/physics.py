@@ -82,7 +82,7 @@ def motor_thrusts(state: FloatArray, plant: Plant, voltage: float, thrusts: Floa
 
 
 @kernel
-def shaped_command(motors: FloatArray, state: FloatArray, plant: Plant, out: FloatArray) -> None:
+def limited_command(motors: FloatArray, state: FloatArray, plant: Plant, out: FloatArray) -> None:
     """Write what the rotors follow (4,): the commands behind play, dead zone and own limits."""
     u = np.empty(4)
     u[0] = 0.25 * (motors[0] + motors[1] + motors[2] + motors[3])
@@ -181,7 +181,7 @@ def derivative(
 ) -> None:
     """Write d(state)/dt of the RK4 states; `outside` (3,) N m is held over the step."""
     thrusts, drive, torque = np.empty(4), np.empty(3), np.empty(3)
-    force, pushed = np.empty(3), np.empty(3)
+    force, total = np.empty(3), np.empty(3)
     motor_thrusts(state, plant, voltage, thrusts)
     drive_torque(thrusts, plant, time_s, drive)
     w = plant.mode_rad_s
@@ -198,11 +198,11 @@ def derivative(
     for i in range(4):
         out[ROTORS + i] = (command[i] - state[ROTORS + i]) / plant.lag[i]
     air_force(state, plant, thrusts, force)
-    world_from_body(state[QUAT : QUAT + 4], force, pushed)
+    world_from_body(state[QUAT : QUAT + 4], force, total)
     for i in range(3):
         weight = GRAVITY_M_S2 if i == 2 else 0.0
         out[POSITION + i] = plant.moves * state[VELOCITY + i]
-        out[VELOCITY + i] = plant.moves * (pushed[i] - weight)
+        out[VELOCITY + i] = plant.moves * (total[i] - weight)
 
 
 @kernel
@@ -249,7 +249,7 @@ def physics_step(
     h = plant.step_s
     command, outside = np.empty(4), np.empty(3)
     stages, trial = np.empty((4, RK_STATES)), np.empty(RK_STATES)
-    shaped_command(motors, state, plant, command)
+    limited_command(motors, state, plant, command)
     memory = math.exp(-2.0 * math.pi * plant.noise_bandwidth_hz * h)
     if plant.noise_bandwidth_hz <= 0.0:
         memory = 0.0

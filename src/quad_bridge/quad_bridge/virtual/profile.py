@@ -38,8 +38,8 @@ class FirmwareSettings:
         require(self.rate_hz == int(self.rate_hz), f'rate_hz must be whole: {self.rate_hz}')
         require(0 <= self.delay_cycles <= 4, f'delay_cycles must be 0..4: {self.delay_cycles}')
         steps = self.physics_steps_per_cycle
-        fine = steps * self.rate_hz >= 1000.0
-        require(fine, f'physics_steps_per_cycle {steps} gives less than 1 kHz of physics')
+        is_fast = steps * self.rate_hz >= 1000.0
+        require(is_fast, f'physics_steps_per_cycle {steps} gives less than 1 kHz of physics')
         require(steps <= 20, f'physics_steps_per_cycle must be at most 20: {steps}')
         unknown = sorted(self.gains.keys() - set(SETTABLE))
         require(not unknown, f'gains: unknown {", ".join(unknown)}')

@@ -62,12 +62,12 @@ def _attitude(frame: f.Attitude) -> f.Attitude | None:
 
 
 def _sensors(frame: f.SlowSensors) -> f.SlowSensors:
-    fine = [_whole(v) for v in (frame.gyro, frame.accel, frame.mag_gauss)]
+    valid = [_whole(v) for v in (frame.gyro, frame.accel, frame.mag_gauss)]
     pressure = frame.pressure_hpa
-    fine.append(pressure is None or math.isfinite(pressure))
-    if all(fine):
+    valid.append(pressure is None or math.isfinite(pressure))
+    if all(valid):
         return frame
-    gyro, accel, mag, air = fine
+    gyro, accel, mag, air = valid
     return replace(
         frame, gyro=frame.gyro if gyro else None, accel=frame.accel if accel else None,
         mag_gauss=frame.mag_gauss if mag else None, pressure_hpa=pressure if air else None,

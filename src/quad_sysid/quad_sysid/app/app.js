@@ -28,7 +28,7 @@ async function listFiles() {
       clearWindows();
     };
     label.append(box, ' ' + file.path + ' '); const more = document.createElement('span');
-    more.className = 'small'; more.textContent = file.kind + ', ' + file.megabytes.toFixed(1) + ' MB';
+    more.className = 'small'; more.textContent = file.kind + ', ' + (file.megabytes < 0.1 ? Math.ceil(1e3 * file.megabytes) + ' kB' : file.megabytes.toFixed(1) + ' MB');
     label.append(more); item.append(label); list.append(item);
   }
   const note = !files.length ? 'no logs here yet' : files.length >= 500 ? 'there are more: start the app on a smaller folder' : '';
@@ -93,7 +93,7 @@ async function listJobs() {
 async function show(job) {
   const key = job.number + job.state + job.pages.join();
   if (key === known) return;
-  known = key; $('title').textContent = job.title;
+  known = key; $('title').textContent = job.title; $('hint').hidden = true;
   const tabs = $('tabs'); tabs.replaceChildren();
   const view = guarded(async page => {
     const table = !page && job.kind === 'import' && job.state === 'done' && await columns(job);

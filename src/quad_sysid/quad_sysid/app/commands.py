@@ -194,15 +194,15 @@ def named_columns(columns: object) -> list[str]:
             by_option[option][place] = name
             units |= {name: unit} if unit else {}
     measured = by_option.get('rate') or by_option.get('angle') or {}
-    driven = range(len(AXES)) if 'motors' in by_option else by_option.get('control', {})
-    axes = [i for i in range(len(AXES)) if i in measured and i in driven]
+    commanded = range(len(AXES)) if 'motors' in by_option else by_option.get('control', {})
+    axes = [i for i in range(len(AXES)) if i in measured and i in commanded]
     if not axes:
         raise RefusedError('choose a rate (or angle) and a command, or the motors, of an axis')
-    wanted = {option: axes if OPTIONS[option].per_axis else sorted(own)
+    places = {option: axes if OPTIONS[option].per_axis else sorted(own)
               for option, own in by_option.items()}
     return as_typed([AXES[i] for i in axes], {
-        option: [own[place] for place in wanted[option]] for option, own in by_option.items()
-        if all(place in own for place in wanted[option])}, units)
+        option: [own[place] for place in places[option]] for option, own in by_option.items()
+        if all(place in own for place in places[option])}, units)
 
 
 def _checked(columns: object) -> list[list[str]]:

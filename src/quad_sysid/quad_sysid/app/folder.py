@@ -71,9 +71,9 @@ def is_model(path: Path) -> bool:
 def entries(folder: Path) -> list[Entry]:
     """The files that can be chosen, by name; a bag is one entry."""
     root = folder.resolve()
-    listed: list[Entry] = []
+    out: list[Entry] = []
     waiting = [(root, 0)]
-    while waiting and len(listed) < MOST_FILES:
+    while waiting and len(out) < MOST_FILES:
         here, depth = waiting.pop()
         try:
             content = sorted(here.iterdir())
@@ -86,8 +86,8 @@ def entries(folder: Path) -> list[Entry]:
                 if path.is_dir() and not is_bag(path):
                     waiting += [(path, depth + 1)] * (depth < 3)
                 else:
-                    listed += _entry(path, root)
-    return sorted(listed, key=lambda e: e.path)
+                    out += _entry(path, root)
+    return sorted(out, key=lambda e: e.path)
 
 
 def _entry(path: Path, root: Path) -> list[Entry]:

@@ -28,7 +28,7 @@ from quad_sysid.files import escaped
 MOST_JOBS = 200
 """Jobs that are remembered; the oldest finished ones are forgotten."""
 MOST_WAITING = 20
-KEPT = 'job.json'
+JOB_FILE = 'job.json'
 """What a job was and what became of it, in its folder: the next start of the app shows it, and by
 size and time of those that are done the time left is judged."""
 STOP_S = 5.0
@@ -57,7 +57,7 @@ class Job:
     """`waiting`, `running`, `done`, `no answer` (status 3), `failed`, `stopped`."""
     doing: str = ''
     """Its last line of progress."""
-    begun: float = 0.0
+    start_s: float = 0.0
     ended: float = 0.0
     process: subprocess.Popen[bytes] | None = field(default=None, repr=False)
     expected: float = 0.0
@@ -83,12 +83,12 @@ class Job:
     @property
     def seconds(self) -> float:
         """Time that it has run."""
-        return (self.ended or time.monotonic()) - self.begun if self.begun else 0.0
+        return (self.ended or time.monotonic()) - self.start_s if self.start_s else 0.0
 
     def keep(self) -> None:
         """Write title, command and outcome into its folder."""
         with suppress(OSError):
-            (self.folder / KEPT).write_text(json.dumps({
+            (self.folder / JOB_FILE).write_text(json.dumps({
                 'title': self.title, 'program': self.program, 'arguments': self.arguments,
                 'state': self.state, 'doing': self.doing, 'seconds': self.seconds,
                 'size': self.size}))
@@ -113,7 +113,7 @@ class Queue:
     def __init__(self, place: Path) -> None:
         """`place`: the folder of their folders, which may hold those of an earlier start."""
         self._place = place
-        self._jobs = {job.number: job for job in kept(place)}
+        self._jobs = {job.number: job for job in earlier_jobs(place)}
         self._wake = threading.Condition()
         self._closed = False
         self._last = max(self._jobs, default=0)
@@ -131,9 +131,9 @@ class Queue:
                 number += 1
             self._last = number
             folder.mkdir(parents=True)
-            placed = tuple(str(folder / a.removeprefix(OWN)) if a.startswith(OWN) else a
-                           for a in arguments)
-            job = Job(number, escaped(title), program, placed, folder, after=after)
+            full_arguments = tuple(str(folder / a.removeprefix(OWN)) if a.startswith(OWN) else a
+                                   for a in arguments)
+            job = Job(number, escaped(title), program, full_arguments, folder, after=after)
             self._jobs[number] = job
             job.keep()
             for old in [j for j in self._jobs.values() if j.ended][:-MOST_JOBS]:
@@ -188,28 +188,28 @@ class Queue:
                 if self._closed:
                     return
                 job = min(waiting, key=lambda j: j.number)
-                job.begun = time.monotonic()
+                job.start_s = time.monotonic()
                 lacks = next((one for one in job.after if one.state != 'done'), None)
                 if lacks is not None:
-                    job.state, job.ended = lacks.state, job.begun
+                    job.state, job.ended = lacks.state, job.start_s
                     job.say(f'{lacks.title}: {lacks.doing or lacks.state}')
                     job.keep()
                     continue
-                ours, theirs = pty.openpty()
+                output, terminal = pty.openpty()
                 try:
                     job.state, job.expected = 'running', expected(job)
                     with (job.folder / OUTPUT).open('wb') as out:
-                        job.process = _begin(job, out.fileno(), theirs)
+                        job.process = _begin(job, out.fileno(), terminal)
                 except OSError as error:
                     job.state, job.ended = 'failed', time.monotonic()
                     job.say(f'{error.filename}: {error.strerror}; check the folder and the disk')
                     job.keep()
-                    os.close(ours)
+                    os.close(output)
                     continue
                 finally:
-                    os.close(theirs)
+                    os.close(terminal)
                 job.keep()
-            _follow(job, ours)
+            _follow(job, output)
             status = job.process.wait()
             with self._wake:
                 job.ended = time.monotonic()
@@ -218,10 +218,10 @@ class Queue:
             job.keep()
 
 
-def kept(place: Path) -> list[Job]:
+def earlier_jobs(place: Path) -> list[Job]:
     """The latest jobs of earlier starts; what had not ended then is stopped."""
     jobs, now = [], time.monotonic()
-    paths = sorted(place.glob(f'*/{KEPT}'), key=lambda path: path.lstat().st_mtime)
+    paths = sorted(place.glob(f'*/{JOB_FILE}'), key=lambda path: path.lstat().st_mtime)
     for path in paths[-MOST_JOBS:]:
         with suppress(OSError, ValueError, TypeError, KeyError):
             tree = json.loads(path.read_text(encoding='utf-8'))
@@ -238,11 +238,11 @@ def kept(place: Path) -> list[Job]:
 def expected(job: Job) -> float:
     """Time that a job will take, by the earlier ones of its kind: their median per byte."""
     per_byte = []
-    for path in sorted(job.folder.parent.glob(f'*/{KEPT}'))[-MOST_JOBS:]:
+    for path in sorted(job.folder.parent.glob(f'*/{JOB_FILE}'))[-MOST_JOBS:]:
         with suppress(OSError, ValueError, TypeError, KeyError):
             tree = json.loads(path.read_text(encoding='utf-8'))
-            alike = tree['state'] == 'done' and tree['arguments'][0] == job.arguments[0]
-            if alike and tree['size'] > 0:
+            is_same_kind = tree['state'] == 'done' and tree['arguments'][0] == job.arguments[0]
+            if is_same_kind and tree['size'] > 0:
                 per_byte.append(tree['seconds'] / tree['size'])
     return statistics.median(per_byte) * job.size if per_byte else 0.0
 
@@ -279,9 +279,9 @@ def _follow(job: Job, terminal: int) -> None:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """Ask the process and its children to end, then kill them."""
-    for number, patience in ((signal.SIGINT, STOP_S), (signal.SIGKILL, STOP_S)):
+    for number, timeout_s in ((signal.SIGINT, STOP_S), (signal.SIGKILL, STOP_S)):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, number)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(patience)
+            process.wait(timeout_s)
             return

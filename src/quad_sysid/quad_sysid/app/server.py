@@ -48,7 +48,7 @@ OWN_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 
 REPORT_POLICY = ("sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
                  "style-src 'unsafe-inline'; img-src data:")
 """What a report may do: run its own scripts, in an origin of its own, and load nothing."""
-SHOWN = ('look.html', 'inspect.html', 'result/report.html')
+PAGES = ('look.html', 'inspect.html', 'result/report.html')
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -154,12 +154,12 @@ class App:
             raise RefusedError(too_large(self.most_bytes))
         safe_name(name)
         with unfinished(self.folder) as aside:  # not listed, nor cut off where the app is killed
-            arrived = new_file(aside, name)
-            await receive(arrived, request.stream(), self.most_bytes)
-            return arrived.replace(new_file(self.folder, arrived.name))
+            upload = new_file(aside, name)
+            await receive(upload, request.stream(), self.most_bytes)
+            return upload.replace(new_file(self.folder, upload.name))
 
     async def _jobs(self, _: Request) -> Response:
-        return _json([_shown(job) for job in self.queue.all()])
+        return _json([_job_tree(job) for job in self.queue.all()])
 
     async def _start(self, request: Request) -> Response:
         raw = b''
@@ -175,8 +175,8 @@ class App:
             raise RefusedError('is not JSON')
         *before, last = commands(self.folder, request_tree, self.queue.promised())
         try:
-            made = [self.queue.add(*one) for one in before]
-            return _json(_shown(self.queue.add(*last, after=made)))
+            jobs = [self.queue.add(*one) for one in before]
+            return _json(_job_tree(self.queue.add(*last, after=jobs)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 
@@ -191,7 +191,7 @@ class App:
 
         job = self._job(request)
         await run_in_threadpool(self.queue.stop, job)
-        return _json(_shown(job))
+        return _json(_job_tree(job))
 
     async def _text(self, request: Request) -> Response:
         return Response(self._job(request).text(), media_type='text/plain; charset=utf-8')
@@ -199,7 +199,7 @@ class App:
     async def _page(self, request: Request) -> Response:
         job, name = self._job(request), request.path_params['name']
         path = job.folder / name
-        if name not in SHOWN or not path.is_file() or path.is_symlink():
+        if name not in PAGES or not path.is_file() or path.is_symlink():
             raise RefusedError('no such page')
         answer = responses.FileResponse(path, media_type='text/html')
         answer.headers['Content-Security-Policy'] = REPORT_POLICY
@@ -215,8 +215,8 @@ def _why(error: OSError) -> str:
     return f'{error.strerror}; check the permissions of the folder, and the disk'
 
 
-def _shown(job: Job) -> dict[str, Any]:
-    pages = [name for name in SHOWN if (job.folder / name).is_file()]
+def _job_tree(job: Job) -> dict[str, Any]:
+    pages = [name for name in PAGES if (job.folder / name).is_file()]
     return {'number': job.number, 'title': job.title, 'state': job.state, 'doing': job.doing,
             'seconds': round(job.seconds, 1), 'left': job.remaining_s(), 'pages': pages,
             'kind': job.arguments[0]}

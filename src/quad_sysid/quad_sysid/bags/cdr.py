@@ -114,7 +114,7 @@ class Stamped:
 
     stamps: npt.NDArray[np.int64]
     values: FloatArray
-    spoiled: int = 0
+    unreadable: int = 0
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ def layout_of(msgtype: str, raw: bytes, joints: Joints = FOUR) -> Layout:
         low, high, plain = (
             np.frombuffer(bytes(typestore().serialize_cdr(message, msgtype)), np.uint8)
             for message in (bare, full, counted))
-        wanted = _values(msgtype, counted, joints).tolist()
-        columns = tuple(_place(plain, value) for value in wanted)
+        layout = _values(msgtype, counted, joints).tolist()
+        columns = tuple(_place(plain, value) for value in layout)
     except Exception as error:  # rosbags raises many kinds on spoiled bytes
         raise LayoutError(str(error)) from error
     fixed = finite_runs(low == high, (0, low.size))
@@ -202,8 +202,8 @@ def decode(msgtype: str, messages: Sequence[bytes], joints: Joints = FOUR) -> St
                     rows = rows[~unread]
                     continue
             is_complete = len(rows) == len(messages)
-            joined = b''.join(messages if is_complete else [messages[i] for i in rows.tolist()])
-            table = np.frombuffer(joined, dtype=np.uint8).reshape(len(rows), -1)
+            data = b''.join(messages if is_complete else [messages[i] for i in rows.tolist()])
+            table = np.frombuffer(data, dtype=np.uint8).reshape(len(rows), -1)
             same = np.ones(len(rows), dtype=bool)
             for start, stop in layout.fixed:
                 same &= (table[:, start:stop] == layout.pattern[start:stop]).all(axis=1)

@@ -36,12 +36,12 @@ class Event:
 def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
     """Events in the order of their stamps, each once, and the number of unreadable ones."""
     events: list[Event] = []
-    spoiled = 0
+    unreadable = 0
     for raw in messages:
         try:
             message: Any = typestore().deserialize_cdr(raw, EVENT)
         except Exception:  # noqa: BLE001 - rosbags raises many kinds on spoiled bytes
-            spoiled += 1
+            unreadable += 1
             continue
         values: dict[str, Value] = {}
         for parameter in message.changed_parameters:
@@ -51,7 +51,7 @@ def decode_events(messages: Iterable[bytes]) -> tuple[list[Event], int]:
         event = Event(message.stamp.sec * 10**9 + message.stamp.nanosec, values)
         if event not in events:
             events.append(event)
-    return sorted(events, key=lambda e: e.stamp), spoiled
+    return sorted(events, key=lambda e: e.stamp), unreadable
 
 
 def encode_event(event: Event, node: str) -> bytes:

@@ -68,8 +68,8 @@ def _odometry(stream: Stamped | None, grid: Grid, angles: FloatArray | None,
         return Moving()
     stamps, rows = np.unique(stream.stamps, return_index=True)
     upward = not np.isfinite(stream.values[:, 7:9]).any()  # no horizontal speed is known
-    needed = [*range(7), 9] if upward else slice(None)
-    rows = rows[np.isfinite(stream.values[rows][:, needed]).all(axis=1)]
+    columns = [*range(7), 9] if upward else slice(None)
+    rows = rows[np.isfinite(stream.values[rows][:, columns]).all(axis=1)]
     if rows.size < LEAST:
         warnings.append(f'{ODOM}: {rows.size} messages whose numbers are finite; not used')
         return Moving()
@@ -159,20 +159,20 @@ def odometry_of(record: Record, stamps: np.ndarray) -> Stamped | None:
     velocity, angles = record.velocity, record.angles
     if velocity is None or angles is None or record.speed_filter_hz is not None:
         return None
-    seen = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
-    if seen.size < LEAST:
+    measured = np.flatnonzero(np.isfinite(velocity[:, 2]) & np.isfinite(angles).all(axis=1))
+    if measured.size < LEAST:
         return None
-    attitude = angles[seen].copy()
+    attitude = angles[measured].copy()
     if record.lean is not None:
-        tilted = np.isfinite(record.lean[seen]).all(axis=1)
-        forward, left = record.lean[seen][tilted].T
+        tilted = np.isfinite(record.lean[measured]).all(axis=1)
+        forward, left = record.lean[measured][tilted].T
         pitch = np.arctan(forward)
         attitude[tilted, :2] = np.column_stack([-np.arctan(left * np.cos(pitch)), pitch])
-    speed, time = velocity[seen], seen * record.dt
+    speed, time = velocity[measured], measured * record.dt
     world = turned(np.nan_to_num(speed[:, :2]), attitude[:, 2])
     steps = 0.5 * (world[1:] + world[:-1]) * np.diff(time)[:, None]
-    place = np.zeros((seen.size, 3))
+    place = np.zeros((measured.size, 3))
     place[1:, :2] = np.cumsum(steps, axis=0)
-    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[seen])
+    place[:, 2] = 0.0 if record.altitude is None else np.nan_to_num(record.altitude[measured])
     twist = in_body(speed, attitude) if np.isfinite(speed).all() else speed
-    return Stamped(stamps[seen], np.column_stack([place, quaternions(attitude), twist]))
+    return Stamped(stamps[measured], np.column_stack([place, quaternions(attitude), twist]))

@@ -85,14 +85,14 @@ def read_bag(path: str | Path) -> Record:
         )
     grid = uniform_grid(imu.stamps, source)
     warnings = [*content.warnings, *grid.warnings]
-    placed = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
-    placed[grid.cells] = imu.values[grid.rows]
-    placed[placed[:, 11] == UNMEASURED, 5:8] = np.nan
-    placed[placed[:, 12] == UNMEASURED, 8:11] = np.nan
-    rates = _finite(placed[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
+    imu_grid = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
+    imu_grid[grid.cells] = imu.values[grid.rows]
+    imu_grid[imu_grid[:, 11] == UNMEASURED, 5:8] = np.nan
+    imu_grid[imu_grid[:, 12] == UNMEASURED, 8:11] = np.nan
+    rates = _finite(imu_grid[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
-    gain_events, spoiled_gains = events.decode_events(content.events.get(GAINS, ()))
+    gain_events, unreadable_gains = events.decode_events(content.events.get(GAINS, ()))
     desaturation = events.desaturation_from(gain_events)
     craft = _craft(content, source, warnings)
     if motors is not None:
@@ -114,12 +114,12 @@ def read_bag(path: str | Path) -> Record:
     def seconds(stamp: int) -> float:
         return float(grid.position(np.array([stamp], dtype=np.int64))[0]) * grid.dt
 
-    segment_events, spoiled = events.decode_events(content.events.get(SEGMENT, ()))
+    segment_events, unreadable = events.decode_events(content.events.get(SEGMENT, ()))
     segments, notes = events.segments_from(segment_events, seconds, grid.n * grid.dt)
-    if spoiled + spoiled_gains:
-        notes.append(f'{spoiled + spoiled_gains} parameter events cannot be read')
-    angles = _angles(placed[:, :5])
-    acceleration = placed[:, 8:11] if np.isfinite(placed[:, 8:11]).any() else None
+    if unreadable + unreadable_gains:
+        notes.append(f'{unreadable + unreadable_gains} parameter events cannot be read')
+    angles = _angles(imu_grid[:, :5])
+    acceleration = imu_grid[:, 8:11] if np.isfinite(imu_grid[:, 8:11]).any() else None
     gains = events.gains_from(gain_events, seconds)
     motion = moving(content.streams, grid, angles, acceleration, warnings)
     accel_hz = next((change.values.get(ACCEL_HZ) for change in gains), None)
@@ -161,9 +161,9 @@ def _read(path: Path) -> _Content:
     for topic, pieces in parts.items():
         streams[topic] = Stamped(np.concatenate([p.stamps for p in pieces]),
                                  np.concatenate([p.values for p in pieces]),
-                                 sum(p.spoiled for p in pieces))
-        if streams[topic].spoiled:
-            warnings.append(f'{topic}: {streams[topic].spoiled} messages cannot be read as '
+                                 sum(p.unreadable for p in pieces))
+        if streams[topic].unreadable:
+            warnings.append(f'{topic}: {streams[topic].unreadable} messages cannot be read as '
                             f'{TOPIC_TYPES[topic]} of the contract; left out')
     with_rates = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
     rates = [name for name, kind in sorted(storage.others.items())
@@ -279,16 +279,16 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
         return None
     low, high = PLAUSIBLE_PACK_V
     plausible = finite & (volts >= low) & (volts <= high)
-    strange = volts[finite & ~plausible]
+    outliers = volts[finite & ~plausible]
     if 2 * np.count_nonzero(plausible) < np.count_nonzero(finite):
         warnings.append(
-            f'/battery: voltage around {np.median(strange):.3g} V is no battery ({low:g} to '
+            f'/battery: voltage around {np.median(outliers):.3g} V is no battery ({low:g} to '
             f'{high:g} V); counted as not measured'
         )
         return None
-    if len(strange):
-        warnings.append(f'/battery: {len(strange)} values outside {low:g} to {high:g} V left out, '
-                        f'such as {strange[0]:.3g} V')
+    if len(outliers):
+        warnings.append(f'/battery: {len(outliers)} values outside {low:g} to {high:g} V left '
+                        f'out, such as {outliers[0]:.3g} V')
     stamps, volts = stream.stamps[plausible], volts[plausible]
     places = grid.position(stamps)
     places, first = np.unique(places, return_index=True)

@@ -132,12 +132,12 @@ def _in_order(stamps: IntArray, rows: IntArray, warnings: list[str]) -> IntArray
         warnings.append(f'{TOPIC}: {backward} stamps run backward; sorted by stamp')
         rows = rows[np.argsort(times, kind='stable')]
         times = stamps[rows]
-    fresh = np.concatenate(([True], np.diff(times) > 0))
-    if not fresh.all():
+    later = np.concatenate(([True], np.diff(times) > 0))
+    if not later.all():
         warnings.append(
-            f'{TOPIC}: {np.count_nonzero(~fresh)} messages repeat a stamp; kept the first of each'
+            f'{TOPIC}: {np.count_nonzero(~later)} messages repeat a stamp; kept the first of each'
         )
-    return rows[fresh]
+    return rows[later]
 
 
 def _longest_chain(parts: list[IntArray], stamps: IntArray) -> IntArray:

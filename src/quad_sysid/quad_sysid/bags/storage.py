@@ -61,7 +61,7 @@ class Storage:
             files = self._files()
         foreign: Counter[tuple[str, str]] = Counter()
         for file in files:
-            with (self._noted(alone=len(files) == 1), readable(file),
+            with (self._as_warning(alone=len(files) == 1), readable(file),
                   stored.plain_file(file) as plain):
                 yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
@@ -69,7 +69,7 @@ class Storage:
                           for (topic, kind), count in sorted(foreign.items())]
 
     @contextmanager
-    def _noted(self, *, alone: bool) -> Iterator[None]:
+    def _as_warning(self, *, alone: bool) -> Iterator[None]:
         """Make the fault of one file of several a warning."""
         try:
             yield
@@ -158,7 +158,7 @@ class Storage:
         for batch in batches:
             yield {topic: self._decompressed(raws, source) for topic, raws in batch.items()}
 
-    def _wanted(self, topic: str, kind: str) -> bool:
+    def _selects(self, topic: str, kind: str) -> bool:
         """Whether the topic is wanted and its type is, or may be, the contract's."""
         if topic not in self.topics:
             self.others[topic] = kind
@@ -172,7 +172,7 @@ class Storage:
         with (plain.open('rb') as stream,
               mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
             scan = McapScan(data)
-            yield from scan.batches(lambda topic: self._wanted(topic.name, topic.kind))
+            yield from scan.batches(lambda topic: self._selects(topic.name, topic.kind))
         if not (scan.ended or scan.returned or scan.others or scan.unnamed):
             raise BadInputError(str(source), 'is cut off before its first whole message',
                                 remedy='nothing can be recovered: record again')
@@ -200,10 +200,10 @@ class Storage:
             raise BadInputError(str(source), what, remedy=stored.sqlite_remedy(source))
         try:
             with closing(sqlite3.connect(stored.address(plain), uri=True)) as base:
-                (strange,) = base.execute(stored.ORPHANS).fetchone()
+                (orphans,) = base.execute(stored.ORPHANS).fetchone()
                 topics = base.execute(
                     'SELECT id, CAST(name AS TEXT), CAST(type AS TEXT) FROM topics').fetchall()
-                mine = {i: name for i, name, kind in topics if self._wanted(name, kind)}
+                mine = {i: name for i, name, kind in topics if self._selects(name, kind)}
                 count = 'SELECT count(*) FROM messages WHERE topic_id = ?'
                 foreign.update({
                     (name, kind): base.execute(count, (i,)).fetchone()[0]
@@ -221,23 +221,23 @@ class Storage:
                         batch[mine[i]].append(raw)
                     for name, raws in batch.items():
                         batch[name] = [raw for raw in raws if type(raw) is bytes]
-                        strange += len(raws) - len(batch[name])
+                        orphans += len(raws) - len(batch[name])
                     yield batch
         except (sqlite3.Error, UnicodeDecodeError) as error:
             what = f'cannot be read as a sqlite3 bag ({" ".join(str(error).split())})'
             raise BadInputError(str(source), what, remedy='is it a bag of rosbag2?') from error
-        if strange:
-            self.warnings.append(f'{source}: {strange} rows are not messages; left out')
+        if orphans:
+            self.warnings.append(f'{source}: {orphans} rows are not messages; left out')
 
     def _decompressed(self, raws: list[bytes], source: Path) -> list[bytes]:
         """Messages as CDR; those compressed one by one (known by their magic) are decompressed."""
         if not raws or stored.ZSTD_MAGIC not in (raws[0][:4], raws[-1][:4]):
             return raws
-        opened = [stored.plain_message(raw) for raw in raws]
-        damaged = opened.count(b'')
+        messages = [stored.plain_message(raw) for raw in raws]
+        damaged = messages.count(b'')
         if damaged:
             self.warnings.append(f'{source}: {damaged} compressed messages are damaged; left out')
-        return [raw for raw in opened if raw]
+        return [raw for raw in messages if raw]
 
 
 def storage_in(folder: Path) -> list[Path]:

@@ -80,9 +80,9 @@ def write_bag(record: Record, path: str | Path, options: BagOptions | None = Non
             streams[topic] = _stream(stamps, array)
     if battery is not None:
         streams['/battery'] = _stream(stamps[::step], battery[::step, None])
-    moved = odometry_of(record, stamps)
-    if moved is not None:
-        streams[ODOM] = moved
+    odometry = odometry_of(record, stamps)
+    if odometry is not None:
+        streams[ODOM] = odometry
     return write_streams(path, streams, _events(record), options,
                          '' if record.craft == X else record.craft.to_urdf())
 
@@ -199,13 +199,13 @@ def _events(record: Record) -> dict[str, list[Event]]:
     together: dict[tuple[float, float, str], list[Segment]] = {}
     for each in sorted(record.segments, key=lambda s: s.start_s):
         together.setdefault((each.start_s, each.end_s, each.role), []).append(each)
-    ordered = [same[0] for same in together.values()]
+    single = [same[0] for same in together.values()]
     axes = [','.join(s.axis for s in same) for same in together.values()]
-    for i, segment in enumerate(ordered):
+    for i, segment in enumerate(single):
         names = {'segment': segment.role, 'signal': segment.signal, 'axis': segment.axis,
                  'injection': segment.injection, **({'axes': axes[i]} if ',' in axes[i] else {})}
         segments.append(Event(stamp(segment.start_s), {**names, **segment.parameters}))
-        following = ordered[i + 1].start_s if i + 1 < len(ordered) else record.n * record.dt
+        following = single[i + 1].start_s if i + 1 < len(single) else record.n * record.dt
         if following - segment.end_s > 0.5 * record.dt:
             idle = {**names, 'segment': 'idle', 'signal': 'none'}
             segments.append(Event(stamp(segment.end_s), idle))

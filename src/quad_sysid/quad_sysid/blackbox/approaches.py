@@ -266,15 +266,15 @@ def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatAr
         if n <= 2 * (states + ar.size):
             continue
         raw = np.column_stack((np.asarray(z.r)[a:b], pulses(n, states)))
-        driven = filter_columns(unit, loop, raw)
-        y = filter_signal(np.convolve(model.B, controller.R), unit, driven[:, 0])
+        filtered = filter_columns(unit, loop, raw)
+        y = filter_signal(np.convolve(model.B, controller.R), unit, filtered[:, 0])
         refiltered = filter_signal(unit, loop, y)
-        u = filter_signal(controller.R, unit, driven[:, 0])
+        u = filter_signal(controller.R, unit, filtered[:, 0])
         u -= filter_signal(controller.S, unit, refiltered)
         p = filter_signal(controller.P, unit, refiltered)
         columns = [-filter_lags(unit, unit, u, range(model.nk, model.nk + nb)),
                    filter_lags(unit, unit, p, range(1, nf + 1))]
-        stack = np.column_stack((z.y[a:b] - y, *columns, driven[:, 1:]))
+        stack = np.column_stack((z.y[a:b] - y, *columns, filtered[:, 1:]))
         stack = filter_columns(ar, unit, stack)[ar.size - 1 :]
         residual = without(stack[:, : 1 + nb + nf], stack[:, 1 + nb + nf :])
         errors.append(residual[:, 0])

@@ -94,13 +94,14 @@ def errors_and_gradient(model: Polynomials,
             continue
         u, y = z.u[start:stop], z.y[start:stop]
         e, w, v, basis = _response(model, u, y)
-        driven, fed = filter_signal(unit, model.F, u), filter_signal(unit, model.F, w, first)
+        filtered_u = filter_signal(unit, model.F, u)
+        filtered_w = filter_signal(unit, model.F, w, first)
         columns = (  # in the order of `parameters`
             (model.D, model.C, y, range(1, model.A.size)),
-            (-model.D, model.C, driven, range(model.nk, model.B.size)),
+            (-model.D, model.C, filtered_u, range(model.nk, model.B.size)),
             (-unit, model.C, e, range(1, model.C.size)),
             (unit, model.C, v, range(1, model.D.size)),
-            (model.D, model.C, fed, range(1, model.F.size)),
+            (model.D, model.C, filtered_w, range(1, model.F.size)),
         )
         gradient = np.empty((u.size, model.parameters.size), order='F')
         done = 0

@@ -218,8 +218,8 @@ def descend(point: Point, at: Callable[[Model], Point], bar: float = math.inf) -
         if iteration > PATIENCE and point.squares - HOPE * promised > bar:
             break
         steps = chain([plain], (_step(point, free, damping) for damping in DAMPINGS))
-        searched = (_search(point, step, at) for step in steps)
-        lower = next((fit for fit in searched if fit is not None), None)
+        candidates = (_search(point, step, at) for step in steps)
+        lower = next((fit for fit in candidates if fit is not None), None)
         if lower is None:
             converged = rows * promised <= 100.0 * TOLERANCE * point.squares
             break
@@ -303,8 +303,8 @@ def _lowest(starts: Iterator[Model], ho: HighOrder) -> Point:
 
     first = at(next(starts))
     best = descend(first, at)
-    doubt = not best.model.converged or first.squares > DOUBTFUL * best.squares or _wanders(best)
-    if doubt and best.model.loss > ho.loss_of(best.slope.size):
+    is_poor = not best.model.converged or first.squares > DOUBTFUL * best.squares or _wanders(best)
+    if is_poor and best.model.loss > ho.loss_of(best.slope.size):
         for start in starts:
             best = min(best, descend(at(start), at, best.squares), key=_squares)
     trials = sorted((at(model) for model in reinserted(best.model)),

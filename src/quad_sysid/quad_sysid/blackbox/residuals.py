@@ -64,7 +64,7 @@ class ResidualTest:
         tests = ((self.residual_white, 'white', self.p_white),
                  (self.residual_uncorrelated_with_input, 'free of past inputs', self.p_input),
                  (self.causal, f'causal (by {self.causality_signal})', self.p_causal))
-        lines = (f'  {name}: {"yes" if good else "no"}, p = {p:.2g}' for good, name, p in tests)
+        lines = (f'  {name}: {"yes" if ok else "no"}, p = {p:.2g}' for ok, name, p in tests)
         head = f'residual of {self.samples} samples, tests at {self.confidence:.0%}'
         return '\n'.join([head, *lines])
 
@@ -182,8 +182,8 @@ def spread_of(weights: list[FloatArray], errors: list[FloatArray]) -> FloatArray
     (Ljung 1999, section 9.5). p degrees of freedom of e are spent on p parameters.
     """
     ar, power = noise_filter(errors, AR_ORDER_MAX, weights[0].shape[1])
-    shaped = np.concatenate([filter_columns(np.ones(1), ar, w) for w in weights])
-    return np.asarray(power * (shaped.T @ shaped))
+    filtered = np.concatenate([filter_columns(np.ones(1), ar, w) for w in weights])
+    return np.asarray(power * (filtered.T @ filtered))
 
 
 def noise_filter(errors: list[FloatArray], order: int, spent: int) -> tuple[FloatArray, float]:

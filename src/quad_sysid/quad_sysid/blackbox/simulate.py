@@ -31,16 +31,16 @@ def simulate(model: Polynomials, u: FloatArray, x0: FloatArray | None = None) ->
     u = np.asarray(u, dtype=float)
     if u.ndim != 1 or not np.isfinite(u).all():
         raise BadInputError('simulate', 'u must be 1-D and finite', u.shape)
-    driven = np.convolve(model.B, u)[: u.size] if u.size else u.copy()
+    response = np.convolve(model.B, u)[: u.size] if u.size else u.copy()
     if x0 is not None:
         x0 = np.asarray(x0, dtype=float)
         size = max(model.denominator.size, model.B.size) - 1
         if x0.shape != (size,):
             raise BadInputError('simulate', f'x0 must have {size} entries', x0.shape)
         count = min(x0.size, u.size)
-        driven[:count] += x0[:count]
+        response[:count] += x0[:count]
     with np.errstate(over='ignore', invalid='ignore'):
-        return filter_signal(np.ones(1), model.denominator, driven)
+        return filter_signal(np.ones(1), model.denominator, response)
 
 
 def initial_state(model: Polynomials, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -109,12 +109,12 @@ def fit_percent(y: FloatArray, yhat: FloatArray) -> float:
     y, yhat = y[is_finite], yhat[is_finite]
     spread = float(np.linalg.norm(y - y.mean()))
     with np.errstate(over='ignore', invalid='ignore'):
-        missed = float(np.linalg.norm(y - yhat))
-    if missed == 0.0:
+        error = float(np.linalg.norm(y - yhat))
+    if error == 0.0:
         return 100.0
-    if spread == 0.0 or not math.isfinite(missed):
+    if spread == 0.0 or not math.isfinite(error):
         return -math.inf
-    return 100.0 * (1.0 - missed / spread)
+    return 100.0 * (1.0 - error / spread)
 
 
 def compare(z: IOData, *models: Polynomials, horizon: float = math.inf) -> tuple[float, ...]:

@@ -176,9 +176,9 @@ def reinserted(model: Model) -> Iterator[Model]:
         for place in (-0.7, -0.2, 0.3, 0.6, 0.8, 0.95):  # all over the real axis
             top = lead[0] * np.real(np.poly([*np.delete(z_roots, i), place]))
             bottom = np.real(np.poly([*np.delete(p_roots, j), place]))
-            moved: dict[str, Any] = {
+            polynomials: dict[str, Any] = {
                 zeros: delayed(top, model.nk) if zeros == 'B' else top, poles: bottom}
-            yield replace(model, **moved)
+            yield replace(model, **polynomials)
 
 
 def _model(ho: HighOrder, *, B: FloatArray, **others: FloatArray) -> Model:

@@ -52,11 +52,11 @@ def p_value(shares: FloatArray) -> float:
     if n < LEAST_BLOCKS:
         return 1.0
     mean = float(np.mean(shares))
-    left = shares - mean
-    squares = float(left @ left)
+    deviations = shares - mean
+    squares = float(deviations @ deviations)
     if squares <= 0.0:
         return 0.0 if mean > 0.0 else 1.0
-    estimated = float(left[1:] @ left[:-1]) / squares
+    estimated = float(deviations[1:] @ deviations[:-1]) / squares
     dependence = min(max(estimated + 1.0 / n, 0.0), MOST_DEPENDENT)
     count = max(n * (1.0 - dependence) / (1.0 + dependence), LEAST_COUNT)
     variance = squares / (n * (1.0 - 1.0 / count))
@@ -360,9 +360,9 @@ def _commands_predict(problem: Problem, unseen: Unseen, fitted: Fit) -> bool:
 
 def _empty(ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
     """Verdict and reason without effects, where the commands predict."""
-    left = unexplained(unseen, base)
-    if left:
-        return 'unexplained_residual', left
+    reason = unexplained(unseen, base)
+    if reason:
+        return 'unexplained_residual', reason
     if ladder.negligible:
         return 'no_missing_effect', (
             f'the base predicts all but {100.0 - ladder.predicts_pct:.1g} % of the motion'
@@ -446,21 +446,21 @@ def _posterior(
         other_names = (chosen_names & best_names) - Counter([name])
         share: defaultdict[str, float] = defaultdict(float)
         for scored, p in zip(search.all, search.probabilities(), strict=True):
-            left = Counter(scored.names) - finer
-            if left >= other_names:
-                alternatives = sorted(left - other_names) or ['nothing']
+            rest = Counter(scored.names) - finer
+            if rest >= other_names:
+                alternatives = sorted(rest - other_names) or ['nothing']
                 for other in alternatives:
                     share[other] += float(p) / len(alternatives)
         if name not in best_names:
             reproducible = ladder.reproducible.get(name, 1.0)
             share = defaultdict(float, {name: reproducible, UNLISTED: 1.0 - reproducible})
         least = LEAST_REPORTED * sum(share.values())
-        kept = {other: v for other, v in share.items() if other == name or v > least}
+        probable = {other: v for other, v in share.items() if other == name or v > least}
         if len(search.prices) == 1:  # a lone candidate has no other rival
-            kept['nothing'] = share['nothing']
-        total = sum(kept.values()) or 1.0
-        probabilities.append(kept.pop(name, 0.0) / total)
+            probable['nothing'] = share['nothing']
+        total = sum(probable.values()) or 1.0
+        probabilities.append(probable.pop(name, 0.0) / total)
         rivals.append(tuple(sorted(
-            ((other, v / total) for other, v in kept.items()), key=lambda item: -item[1]
+            ((other, v / total) for other, v in probable.items()), key=lambda item: -item[1]
         )))
     return tuple(probabilities), tuple(rivals)

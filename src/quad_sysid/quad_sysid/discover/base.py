@@ -19,7 +19,7 @@ from quad_sysid.model.data import other_axis
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import Structure
 
-BEGUN_STEPS = 6
+FIRST_STEPS = 6
 """Steps of each fit before the best ones go on."""
 FAR_BEHIND = 30.0
 """Nats by which a fit that was begun may lag behind and still be brought to convergence."""
@@ -48,7 +48,7 @@ def best_base(problem: Problem) -> Fit:
         start = start_of(problem)
         start[0] *= sign
         start[1], start[2] = math.log(lag), math.log(delay)
-        start[problem.held_terms] = problem.centres(problem.plain)[problem.held_terms]
+        start[problem.zero_terms] = problem.centres(problem.plain)[problem.zero_terms]
         if not any(np.array_equal(start, other) for other in starts):
             starts.append(start)
     base = most_probable(compared_fits(problem, [
@@ -57,7 +57,7 @@ def best_base(problem: Problem) -> Fit:
     if base is None:
         raise FloatingPointError('no start of the base holds')
     ended = fitted_from(problem, base.structure, base.theta, rate=base.rate)
-    base = _beside(problem, most_probable((base, ended)) or base)
+    base = _neighbouring_delays(problem, most_probable((base, ended)) or base)
     if problem.flight.sensor.noisy:
         averaged = replace(base.structure, averaged=True)
         base = _likelier(base, fitted_from(problem, averaged, base.theta, rate=base.rate))
@@ -102,12 +102,12 @@ def _other_order(problem: Problem, fitted: Fit) -> Fit | None:
     the command alike; only where the disturbance enters and the priors tell them apart.
     """
     gain, lag, _, damping = fitted.values[:4]
-    if not damping > 0.0 or problem.held_terms:
+    if not damping > 0.0 or problem.zero_terms:
         return None
     start = fitted.theta.copy()
     start[0], start[1], start[3] = gain / (lag * damping), -math.log(damping), 1.0 / lag
     other = fitted_from(problem, fitted.structure, start, rate=fitted.rate,
-                        max_steps=BEGUN_STEPS)
+                        max_steps=FIRST_STEPS)
     if other is None or other.log_posterior < fitted.log_posterior - FAR_BEHIND:
         return None
     return fitted_from(problem, fitted.structure, other.theta, rate=fitted.rate)
@@ -132,29 +132,29 @@ def compared_fits(
     """
     if problem.short_problem is not None and len(tries) > BEAM:
         tries = _leading_on(problem.short_problem, tries)
-    begun = first_fits(problem, tries)
-    ahead = [fit for fit in _leading(begun) if fit.evidence >= least]
-    ended = side_by_side([
+    first = first_fits(problem, tries)
+    ahead = [fit for fit in _leading(first) if fit.evidence >= least]
+    fits = side_by_side([
         partial(fitted_from, problem, fit.structure, fit.theta, rate=fit.rate,
                 tolerance_nats=ROUGH_NATS)
         for fit in ahead if not fit.converged
     ])
-    return [*(fit for fit in ahead if fit.converged), *(fit for fit in ended if fit is not None)]
+    return [*(fit for fit in ahead if fit.converged), *(fit for fit in fits if fit is not None)]
 
 
 def first_fits(problem: Problem, tries: Sequence[Candidate]) -> list[Fit]:
     """A few steps of each; best first."""
     fits = side_by_side([
         partial(fitted_from, problem, candidate.structure, *candidate.starts,
-                max_steps=BEGUN_STEPS, rate=candidate.rate) for candidate in tries
+                max_steps=FIRST_STEPS, rate=candidate.rate) for candidate in tries
     ])
     return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.evidence)
 
 
-def _leading(begun: Sequence[Fit], behind: float = FAR_BEHIND) -> list[Fit]:
+def _leading(fits: Sequence[Fit], behind: float = FAR_BEHIND) -> list[Fit]:
     """The fits that are at most so many nats behind the first, and BEAM at least."""
-    return [fit for i, fit in enumerate(begun)
-            if i < BEAM or fit.evidence >= begun[0].evidence - behind]
+    return [fit for i, fit in enumerate(fits)
+            if i < BEAM or fit.evidence >= fits[0].evidence - behind]
 
 
 def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Candidate]:
@@ -164,27 +164,27 @@ def _leading_on(short_problem: Problem, tries: Sequence[Candidate]) -> list[Cand
     """
     local = [candidate for candidate in tries
              if any(part.effect.happens for part in candidate.structure.parts)]
-    apart = [candidate for candidate in tries if candidate not in local]
-    given = {candidate.structure.labels: candidate for candidate in apart[::-1]}
+    others = [candidate for candidate in tries if candidate not in local]
+    by_labels = {candidate.structure.labels: candidate for candidate in others[::-1]}
     best: dict[frozenset[str], Fit] = {}
     shortened = [replace(candidate, rate=candidate.rate[short_problem.index])
-                 for candidate in apart]
+                 for candidate in others]
     for begin in first_fits(short_problem, shortened):
         best.setdefault(frozenset(begin.structure.labels), begin)
     ahead = _leading([*best.values()], FAR_BEHIND / BRIEF)
-    full_tries = (given[fit.structure.labels] for fit in ahead)
+    full_tries = (by_labels[fit.structure.labels] for fit in ahead)
     return [*local, *(replace(first, starts=(fit.theta, *first.starts))
                       for fit, first in zip(ahead, full_tries, strict=True))]
 
 
-def _beside(problem: Problem, base: Fit) -> Fit:
+def _neighbouring_delays(problem: Problem, base: Fit) -> Fit:
     """The base, or a better one whose delay is a cycle shorter or longer.
 
     Commands are held over a cycle, so that there may be a maximum near each whole one.
     """
     fits: list[Fit | None] = [base]
     for delay in (base.value('delay') - problem.data.dt, base.value('delay') + problem.data.dt):
-        if delay > 0.0 and 2 not in problem.held_terms:
+        if delay > 0.0 and 2 not in problem.zero_terms:
             start = base.theta.copy()
             start[2] = math.log(delay)
             fits.append(fitted_from(problem, base.structure, start, rate=base.rate))
@@ -254,5 +254,5 @@ def shares(problem: Problem, fitted: Fit, base: Fit, index: int) -> bool:
     flight.disturbances[:, index] = Flight(data, data.stretches).unexplained(other.values)
     structure = replace(fitted.structure, shared=(index,))
     theta = np.insert(fitted.theta, -structure.filtered, 0.0)
-    beside = fitted_from(problem, structure, theta, rate=fitted.rate)
-    return _likelier(fitted, beside) is beside
+    fit = fitted_from(problem, structure, theta, rate=fitted.rate)
+    return _likelier(fitted, fit) is fit

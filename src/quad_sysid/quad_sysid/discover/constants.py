@@ -57,7 +57,7 @@ NAMED_FIRST = 0.9
 """Share of the best step that a named law has to take to stand before a curve."""
 NEGLIGIBLE = 0.01
 """Share of the base's miss, and of the motion, below which nothing is called a cause."""
-BELIEVED = 5.0
+PRIOR_SIGMAS = 5.0
 """Standard deviations of a law's prior within which its parameters lie. A projection has no prior:
 a gain that falls with time would be a sagging battery's, by the voltage to the power of 20."""
 PROJECTED = 2

@@ -82,8 +82,8 @@ def vibration_line(problem: Problem, fitted: Fit) -> float | None:
 
 def screen(problem: Problem, fitted: Fit, parts: Sequence[Part]) -> list[Score]:
     """The best start and score of each candidate, best first."""
-    beside = _Beside(problem, fitted)
-    scores = side_by_side([partial(beside.best, part) for part in parts])
+    screening = _Screening(problem, fitted)
+    scores = side_by_side([partial(screening.best, part) for part in parts])
     return sorted((score for score in scores if score is not None), key=lambda s: -s.nats)
 
 
@@ -134,7 +134,7 @@ def linear_of(part: Part) -> list[int]:
             if not spec.log and not spec.starts and spec.centre == 0.0]
 
 
-class _Beside(Trajectory):
+class _Screening(Trajectory):
     """The fit beside which candidates are scored; its parameters are projected out.
 
     The priors of the fit's parameters count as rows of their own.
@@ -178,7 +178,7 @@ class _Beside(Trajectory):
                 np.ascontiguousarray(inputs.T), self.slope, self.fitted.prediction.filters
             )
             if part.effect.wanders:
-                responses = np.stack([self._followed(p, psi) for p, psi
+                responses = np.stack([self._tracked_change(p, psi) for p, psi
                                       in zip(batch, responses.T, strict=True)], axis=1)
             out = self.weight * responses
             common = self.q.T @ out  # what the fit's own parameters can do too
@@ -189,7 +189,7 @@ class _Beside(Trajectory):
         return scores
 
     @cached_property
-    def on_short_problem(self) -> _Beside | None:
+    def on_short_problem(self) -> _Screening | None:
         """The same on the short part of the flight."""
         short_problem = self.problem.short_problem
         if short_problem is None:
@@ -198,7 +198,7 @@ class _Beside(Trajectory):
         steps = short_problem.steps(fitted.structure, fitted.theta)
         prediction = short_problem.flight.predict(fitted.structure, fitted.theta, steps=steps)
         return None if prediction.jacobian is None else \
-            _Beside(short_problem, replace(fitted, prediction=prediction))
+            _Screening(short_problem, replace(fitted, prediction=prediction))
 
     def starts(self, part: Part) -> list[FloatArray]:
         """Start values of a candidate, each (q,) coordinates, the linear parameters at zero."""
@@ -225,12 +225,12 @@ class _Beside(Trajectory):
 
         Rounding adds a saw over the command, for which its first harmonic stands.
         """
-        data, pushed = self.problem.data, self._behind_lag()
+        data, input_part = self.problem.data, self._behind_lag()
         late = round(self.values[2] / data.dt)
         bins = np.clip(np.roll(data.motors, late, axis=0), 0.0, 1.0) // BIN
         sums = np.zeros(1 + round(1.0 / BIN))
         for levels, share in zip(bins.T.astype(int), data.share, strict=True):
-            sums += np.bincount(levels, share * pushed, sums.size)
+            sums += np.bincount(levels, share * input_part, sums.size)
         waves, count = np.fft.rfft(sums, PADDED), np.fft.rfftfreq(PADDED, BIN)
         size = np.where((count > STEPS[0]) & (count < STEPS[1]), np.abs(waves), 0.0)
         starts = []
@@ -306,7 +306,7 @@ class _Beside(Trajectory):
         start[linear], gentle[linear] = x, 0.3 * x
         return Score(part, (start,) if len(linear) == p.size else (start, gentle), nats)
 
-    def _followed(self, p: FloatArray, psi: FloatArray) -> FloatArray:
+    def _tracked_change(self, p: FloatArray, psi: FloatArray) -> FloatArray:
         """(n,) change of the innovations if a coefficient follows them."""
         flight, e, psi = self.problem.flight, self.innovation, np.ascontiguousarray(psi)
         pursuit, out = flight.pursuit(psi, p), e.copy()
@@ -315,7 +315,7 @@ class _Beside(Trajectory):
         return out - e
 
 
-FEWEST_MOTORS = 4
+MIN_MOTORS = 4
 """A report lists the effects of so many motors as not tested where no motor is known."""
 
 
@@ -327,20 +327,20 @@ def candidates(
     What differs in a motor that the craft does not have is none of them; beside a law of the
     user's, what changes a built-in term can be shown only where the base keeps that term.
     """
-    count = max(problem.data.motors.shape[1], FEWEST_MOTORS)
-    prepared = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
-                for effect in effects
-                if max(effect.motors, default=0) < count
-                and (not effect.axes or problem.data.axis in effect.axes)]
-    parts = [Part(effect, settings) for effect, settings in prepared
+    count = max(problem.data.motors.shape[1], MIN_MOTORS)
+    settings_of = [(effect, _replaced(problem, effect) or effect.prepare(problem.data))
+                   for effect in effects
+                   if max(effect.motors, default=0) < count
+                   and (not effect.axes or problem.data.axis in effect.axes)]
+    parts = [Part(effect, settings) for effect, settings in settings_of
              if not isinstance(settings, str)]
-    return parts, {effect.label: why for effect, why in prepared if isinstance(why, str)}
+    return parts, {effect.label: why for effect, why in settings_of if isinstance(why, str)}
 
 
 def _replaced(problem: Problem, effect: Effect) -> str:
     """Why an effect has no built-in term to change beside a law of the user's; '' where it has."""
     of_drive = not effect.moves_command and {'command', 'history'} <= {*effect.signals}
     term = 'gain' if of_drive else {'response': 'lag'}.get(effect.term, effect.term)
-    gone = [BASE[i].name for i in problem.held_terms]
+    gone = [BASE[i].name for i in problem.zero_terms]
     return (f"it acts on the {term}, which the base of one's own replaces; keep=({term!r},) fits "
             'it beside the law') if term in gone and term != 'damping' else ''

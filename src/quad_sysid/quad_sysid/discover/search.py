@@ -46,7 +46,7 @@ from quad_sysid.model.structure import LINE, NOISE, Structure, coordinates
 
 SIZES = (NOISE[0], NOISE[1], LINE[0])
 """Parts of the noise relative to the gyro's white noise."""
-ANEW = 20.0
+RESTART_MARGIN = 20.0
 """Nats by which a response that is fitted anew must beat the base; another is fitted from it."""
 NEAR = 5.0
 """Nats behind the best structure within which another may be chosen."""
@@ -167,20 +167,20 @@ def extended(problem: Problem, parent: Fit, score: Score) -> Fit | None:
     return most_probable(compared_fits(problem, extensions(parent, score)))
 
 
-def anew(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
+def fits_from_priors(problem: Problem, parts: Sequence[Part], base: Fit) -> list[Fit]:
     """Fits of how the motors may respond, begun from the priors and not from the base.
 
     A response that overshoots, as of yaw with heavy rotors, draws the base so far away, up to a
     negative gain, that no step leads back from there once the response is added.
     """
-    begun, count = start_of(problem), len(problem.plain.base)
+    first, count = start_of(problem), len(problem.plain.base)
     return compared_fits(problem, [
         Candidate(problem.plain.plus(part), [
-            np.r_[begun[:count], coordinates(part.effect.parameters, start), begun[count:]]
+            np.r_[first[:count], coordinates(part.effect.parameters, start), first[count:]]
             for start in part.effect.starts(problem.data, part.settings)
         ], problem.flight.rate)
         for part in parts if part.effect.term == 'response' and not part.effect.motors
-    ], base.evidence + ANEW)
+    ], base.evidence + RESTART_MARGIN)
 
 
 def little(motion: float, error: float) -> float:
@@ -211,7 +211,7 @@ class _Search:
     def run(self) -> None:
         """Add one effect at a time, then leave out what was made needless."""
         if not self.halt():
-            for fit in anew(self.problem, self.parts, self.base.fit):
+            for fit in fits_from_priors(self.problem, self.parts, self.base.fit):
                 self.store(fit)
         beam = leading(self.known.values())
         for _ in range(MOST_EFFECTS):
@@ -245,12 +245,12 @@ class _Search:
         promising = sorted(ahead.values(), key=lambda entry: -entry[0])[:REFITS]
         if self.halt():
             return []
-        begun = [each for _, fit, score in promising for each in extensions(fit, score)]
-        fits = compared_fits(self.problem, begun, self.best().fit.evidence - FAR_BEHIND)
-        kept = [self.store(fit) for fit in fits]
+        candidates = [each for _, fit, score in promising for each in extensions(fit, score)]
+        fits = compared_fits(self.problem, candidates, self.best().fit.evidence - FAR_BEHIND)
+        entries = [self.store(fit) for fit in fits]
         best = ' and '.join(self.best().names) or 'the base'
         self.progress(f'{len(self.known)} structures, best so far {best}')
-        return kept
+        return entries
 
     def scores(self, parent: Fit, *, all_candidates: bool) -> list[Score]:
         """Linear scores of the candidates beside a structure, best first.
@@ -295,8 +295,8 @@ class _Search:
             )
         rate = problem.flight.gyro[windows.cells]
         motion = float(np.mean((rate - rate[:, :1]) ** 2))
-        change, missed = (float(np.mean((full - run) ** 2)) for run in (less, least))
-        return change < max(NEGLIGIBLE * missed, little(motion, float(np.mean(full**2))))
+        change, error = (float(np.mean((full - run) ** 2)) for run in (less, least))
+        return change < max(NEGLIGIBLE * error, little(motion, float(np.mean(full**2))))
 
     def spare(self) -> bool:
         """Leave out each effect of the best structure in turn; whether that was better."""
@@ -359,8 +359,8 @@ def search(problem: Problem, effects: Sequence[Effect], halt: Callable[[], str] 
         untried = [p.effect.label for p in parts if p.effect.label not in fitted]
         reasons |= dict.fromkeys(untried, f'{why}: it was not tried')
         cut_short = why if untried else ''
-    ordered = tuple(sorted(search.known.values(), key=lambda s: -s.score))
-    leading_ones = SearchResult(base, ordered, reasons, search.prices, cut_short=cut_short)
+    ranking = tuple(sorted(search.known.values(), key=lambda s: -s.score))
+    leading_ones = SearchResult(base, ranking, reasons, search.prices, cut_short=cut_short)
     if problem is not full_problem:
         problem, leading_ones = full_problem, _on_all(full_problem, leading_ones)
     return to_convergence(problem, leading_ones)
@@ -379,8 +379,8 @@ def to_convergence(problem: Problem, search: SearchResult) -> SearchResult:
                          for fit in near])
     ended = {fit.structure.labels: scored(fit, search.prices) for fit in fits if fit is not None}
     entries = [ended.get(entry.fit.structure.labels, entry) for entry in search.all]
-    kept = [entry for entry in entries if entry.fit.converged or entry.score <= best - NEAR]
-    able = kept if any(entry.score > best - NEAR for entry in kept) else entries
+    near_best = [entry for entry in entries if entry.fit.converged or entry.score <= best - NEAR]
+    able = near_best if any(entry.score > best - NEAR for entry in near_best) else entries
     out = replace(search, all=tuple(sorted(able, key=lambda entry: -entry.score)))
     while out.best.structure.parts and len(out.all) > 1 and not stays_bounded(
             problem, out.best, out.best.prediction):

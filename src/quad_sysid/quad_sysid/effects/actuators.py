@@ -90,9 +90,9 @@ class Steps(WithMemory):
     def begin(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return np.floor(self.mapped(s, p) + 0.5)
 
-    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
-        starts = self.starts(left.data, settings)
-        return [np.r_[step, start[2:]] for step in left.steps() for start in starts]
+    def starts_by_residual(self, fit: FitResidual, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(fit.data, settings)
+        return [np.r_[step, start[2:]] for step in fit.steps() for start in starts]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         x, states = self.mapped(s, p), required(s.hidden)

@@ -72,7 +72,7 @@ def _arrays(*columns: tuple[float, ...]) -> list[FloatArray]:
     return [np.array(column) for column in columns]
 
 
-def placed(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
+def knot_settings(used: FloatArray, knots: FloatArray) -> dict[str, Any]:
     """Settings of a curve with these knots (k,) over a signal, whose mean over it is zero."""
     inside = np.clip(used[np.isfinite(used)], knots[0], knots[-1])
     mean = tuple(float(np.mean(np.interp(inside, knots, hat))) for hat in np.eye(knots.size))
@@ -85,7 +85,7 @@ def placed_around_zero(used: FloatArray, reach: float = 1.0) -> dict[str, Any]:
     They end at `reach` times the largest |used| (n,), apart from spikes.
     """
     far = np.max(np.abs(np.nanpercentile(used, [0.5, 99.5])))
-    return placed(used, reach * far * np.sign(PLACES) * np.abs(PLACES) ** 1.7)
+    return knot_settings(used, reach * far * np.sign(PLACES) * np.abs(PLACES) ** 1.7)
 
 
 class Shape(Effect):
@@ -115,8 +115,8 @@ class Smooth(Shape):
         return tuple(replace(spec, name=f'{spec.name}{i}') for i in range(COUNT))
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        apart = (PLACES[:, None] - PLACES) / (2.0 * LENGTH)
-        kernel = np.exp(-0.5 * apart**2) + 1e-3 * np.eye(COUNT)
+        distance = (PLACES[:, None] - PLACES) / (2.0 * LENGTH)
+        kernel = np.exp(-0.5 * distance**2) + 1e-3 * np.eye(COUNT)
         out, where = np.diag(sizes**-2.0), slice(self.first, self.first + COUNT)
         out[where, where] = np.linalg.inv(kernel) / sizes[self.first] ** 2
         return out
@@ -153,7 +153,7 @@ class Curve(Smooth):
         if self.signal in ('rate', 'command'):
             settings = placed_around_zero(used)
         else:
-            settings = placed(used, np.linspace(low, high, COUNT))
+            settings = knot_settings(used, np.linspace(low, high, COUNT))
         if self.term == 'friction':  # the base has none
             settings['mean'] = (0.0,) * COUNT
         elif self.signal == 'time':  # the base is what the flight ends with

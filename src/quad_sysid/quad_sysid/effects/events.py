@@ -51,9 +51,9 @@ def after(s: Signals, time_s: float) -> FloatArray:
 class Repeating(Effect):
     """An effect that repeats itself at a frequency, its first parameter, in Hz."""
 
-    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
-        starts = self.starts(left.data, settings)
-        return [np.r_[line, start[1:]] for line in left.lines(self) for start in starts]
+    def starts_by_residual(self, fit: FitResidual, settings: Settings) -> Sequence[FloatArray]:
+        starts = self.starts(fit.data, settings)
+        return [np.r_[line, start[1:]] for line in fit.lines(self) for start in starts]
 
     def repeats_hz(self, p: FloatArray) -> float:
         return float(p[0])
@@ -80,16 +80,16 @@ class Event(Torque):
     def starts(self, data: AxisData, settings: Settings) -> Sequence[FloatArray]:
         return [np.array([t, *d, 0.0]) for d in self.lengths for t in times(data)]
 
-    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
-        starts, data = self.starts(left.data, settings), left.data
+    def starts_by_residual(self, fit: FitResidual, settings: Settings) -> Sequence[FloatArray]:
+        starts, data = self.starts(fit.data, settings), fit.data
         if self.term != 'torque':
             return starts
         now = data.clock
-        edges = sorted(t for t in left.edges() if any(
+        edges = sorted(t for t in fit.edges() if any(
             now[a] + EDGE_S <= t < now[b - 1] - EDGE_S for a, b in data.train))
-        timed = len(self.parameters) - 1  # begin, or begin and end
+        count = len(self.parameters) - 1  # begin, or begin and end
         return [*starts, *(np.array([t[0], *np.diff(t), 0.0])
-                           for t in itertools.combinations(edges, timed))]
+                           for t in itertools.combinations(edges, count))]
 
     def in_another_flight(self, p: FloatArray, settings: Settings, phase: float) -> FloatArray:
         return np.array([-1e6, *p[1:]])  # it happened long before
@@ -174,7 +174,7 @@ class PeriodicDelay(Clocked):
         return np.r_[p[0], rotated.view(np.float64)]
 
 
-class Held(Clocked):
+class SampleAndHold(Clocked):
     """The motors take a command less often than it is computed, and hold it.
 
     Half a period counts as part of the base's delay.
@@ -227,5 +227,6 @@ EVENTS: tuple[Effect, ...] = (
         lambda s, p: p[2] * (after(s, p[0]) - after(s, p[0] + p[1])),
         lengths=((0.4,), (2.0,)), kind='event', variant='torque for a while'),
     Periodic('torque', 'periodic_disturbance'),
-    Periodic('gain', 'shape:gain:time', kind='shape', variant='periodic'), PeriodicDelay(), Held(),
+    Periodic('gain', 'shape:gain:time', kind='shape', variant='periodic'),
+    PeriodicDelay(), SampleAndHold(),
 )

@@ -29,7 +29,7 @@ from quad_sysid.model.effect import (
     size_of_term,
 )
 from quad_sysid.model.structure import BASE
-from quad_sysid.model.traced import Traced, noted
+from quad_sysid.model.traced import Traced, operation_of
 
 System = tuple[FloatArray, FloatArray]
 """A (m, m) and B (m,) of x' = A x + B input."""
@@ -41,9 +41,9 @@ FADES = 0.7
 """Size of a coefficient beside that of one degree less: the less a form bends, the likelier."""
 EDGE = 1.1
 """A polynomial goes on for a tenth of its half range, and is constant from there on."""
-SHOWN_MOTORS = 4
+GYRO_MOTORS = 4
 """Motors for which this is stated: its number of coefficients is fixed."""
-SHOWN_BY = tuple(itertools.product(range(SHOWN_MOTORS), range(1, DEGREE + 1)))
+GYRO_TERMS = tuple(itertools.product(range(GYRO_MOTORS), range(1, DEGREE + 1)))
 """Motor and degree of each term that a gyro may show."""
 
 
@@ -169,7 +169,7 @@ def each_ahead(name: str, arrays: Sequence[FloatArray], numbers: Sequence[float]
                results: int) -> FloatArray:
     """(results, …) a compiled law of one cycle on arrays (…) of one shape, or it is noted."""
     if any(isinstance(x, Traced) for x in arrays):
-        return np.stack(noted(name, arrays, numbers, results))
+        return np.stack(operation_of(name, arrays, numbers, results))
     rows = np.broadcast_arrays(*arrays)
     out = np.empty((results, rows[0].size))
     law = laws.all_loose_ahead if name == 'loose' else laws.all_yielded
@@ -241,10 +241,10 @@ class Load(Effect):
     def _per_unit(self, s: Signals, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(…,) acceleration per unit of its weight, and of its inertia."""
         hidden = required(s.hidden)
-        z, pushed = hidden[0], self._ahead(hidden, s, p)[2]
+        z, acceleration = hidden[0], self._ahead(hidden, s, p)[2]
         ratio = float(p[2]) if self.moved != 'leaning' else 1.0 / float(p[2])
         directly = s.drive if self.moved == 'driven' else 0.0
-        return z, -(directly + ratio * pushed)  # ratio: rad or s² per unit of z
+        return z, -(directly + ratio * acceleration)  # ratio: rad or s² per unit of z
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         weight, inertia = self._per_unit(s, p)
@@ -417,15 +417,15 @@ class Shown(Linked, Shape):
     parameters = (
         Spec('time_constant', 's', spread=0.7, centre=math.log(0.05), log=True,
              starts=(0.02, 0.05, 0.15)),
-        *(Spec(f'motor_{i + 1}_{k}', 'rad/s', spread=0.1) for i, k in SHOWN_BY),
+        *(Spec(f'motor_{i + 1}_{k}', 'rad/s', spread=0.1) for i, k in GYRO_TERMS),
     )
 
     def __init__(self) -> None:
         self.shaped('torque', 'throttle', 'shown by the gyro', 'command', 'motors', 'history')
 
     def prepare(self, data: AxisData) -> Settings | str:
-        if data.motors.shape[1] != SHOWN_MOTORS:
-            return f'it is stated for {SHOWN_MOTORS} motors'
+        if data.motors.shape[1] != GYRO_MOTORS:
+            return f'it is stated for {GYRO_MOTORS} motors'
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         if not high - low > SLOW_MOVES * high:
             return 'the flight holds no motor commands that move'
@@ -447,13 +447,13 @@ class Shown(Linked, Shape):
         x, dt = required(s.hidden), s.dt
         ahead = self.advance(x, s, p, settings)
         change = (polynomials(ahead) - polynomials(x)) / dt
-        return np.stack([change[i, ..., k] for i, k in SHOWN_BY], axis=-1)
+        return np.stack([change[i, ..., k] for i, k in GYRO_TERMS], axis=-1)
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self.columns(s, p, self.linear, settings) @ p[1:]
 
     def precision(self, settings: Settings, sizes: FloatArray) -> FloatArray:
-        fading = [FADES ** (k - 1) for _, k in SHOWN_BY]
+        fading = [FADES ** (k - 1) for _, k in GYRO_TERMS]
         return np.diag((sizes * np.r_[1.0, fading]) ** -2.0)
 
 

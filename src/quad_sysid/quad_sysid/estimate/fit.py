@@ -146,9 +146,9 @@ class Problem:
     """A short part of it, on which a search tries first what it has many of."""
 
     def __init__(self, data: AxisData, spans: Sequence[Span], *, whole: bool = False,
-                 law: Part | None = None, held: Sequence[int] = ()) -> None:
-        """law: of the user's, in the base; held: terms of BASE that are nothing beside it."""
-        self.plain, self.held_terms = Structure(law=law), list(held)
+                 law: Part | None = None, zero_terms: Sequence[int] = ()) -> None:
+        """law: of the user's, in the base; zero_terms: those of BASE that are zero beside it."""
+        self.plain, self.zero_terms = Structure(law=law), list(zero_terms)
         self.data, self.spans = data, tuple(spans)
         self.index = np.arange(data.rate.size)
         if not whole:
@@ -162,7 +162,7 @@ class Problem:
             counts[start:stop] = True
         for start, _ in self.flight.passes:
             counts[start : start + settle] = False
-        counts &= np.isfinite(self.flight.measured) & ~self.flight.caught
+        counts &= np.isfinite(self.flight.measured) & ~self.flight.follows_gyro
         intact = counts & ~_behind_gaps(self.data)
         # of a log with gaps throughout all samples count
         self.rows = np.flatnonzero(intact if 2 * intact.sum() >= counts.sum() else counts)
@@ -182,7 +182,7 @@ class Problem:
             used[index[first : first + length]] = True
         spans = tuple(run for span in self.spans for run in finite_runs(used, span))
         return Problem(replace(self.data, train=spans), spans, law=self.plain.law,
-                       held=self.held_terms)
+                       zero_terms=self.zero_terms)
 
     def blocks(self, length_s: float) -> NDArray[np.int64]:
         """(rows,) number of the block of each row: of one pass, of this length in time."""
@@ -221,7 +221,7 @@ class Problem:
         ]
         effect_sizes = [size for part, _ in structure.placed() for size in self.sizes_of(part)]
         out = np.array([*base, *effect_sizes, *(s.spread for s in structure.noise)], dtype=float)
-        out[self.held_terms] = FIXED_STD
+        out[self.zero_terms] = FIXED_STD
         return out
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
@@ -232,9 +232,9 @@ class Problem:
         out, p = derivative_steps(self.sizes(structure)), structure.natural(theta)
         last = float(self.data.clock[-1])
         for part, where in structure.placed():
-            turned = 2.0 * math.pi * part.effect.repeats_hz(p[where]) * last
-            if turned > 0.0:  # by a frequency, whose coordinate is its logarithm
-                out[where.start] = min(out[where.start], TURN / turned)
+            phase = 2.0 * math.pi * part.effect.repeats_hz(p[where]) * last
+            if phase > 0.0:  # by a frequency, whose coordinate is its logarithm
+                out[where.start] = min(out[where.start], TURN / phase)
         return out
 
     def centres(self, structure: Structure) -> FloatArray:
@@ -242,7 +242,7 @@ class Problem:
         out = np.array([s.centre for s in structure.specs])
         if self.data.rotor_lag is not None:
             out[1] = math.log(self.data.rotor_lag.seconds)
-        out[self.held_terms] = np.array(NULL_BASE)[self.held_terms]
+        out[self.zero_terms] = np.array(NULL_BASE)[self.zero_terms]
         return out
 
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
@@ -293,7 +293,7 @@ def start_of(problem: Problem) -> FloatArray:
     """(p,) start values of the base from the priors alone."""
     theta = problem.centres(problem.plain)
     command = problem.data.command[problem.rows]
-    if 0 not in problem.held_terms:
+    if 0 not in problem.zero_terms:
         theta[0] = problem.acceleration / max(float(np.std(command)), 1e-9)
     return theta
 
@@ -461,10 +461,10 @@ def shift_by_form(problem: Problem, fitted: Fit) -> FloatArray:
     if not flight.sensor.noisy:
         return np.zeros(fitted.theta.size)
     rate, exact = flight.rate, flight.sensors
-    flight.sensors = flight.seen_through(stepped=True)
-    stepped = flight.predict(fitted.structure, fitted.theta)
+    flight.sensors = flight.gyro_sensors(stepped=True)
+    coarse = flight.predict(fitted.structure, fitted.theta)
     flight.rate, flight.sensors = rate, exact
     e = fitted.prediction.innovation[problem.rows]
     j = required(fitted.prediction.jacobian)[problem.rows]
-    change = (stepped.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
+    change = (coarse.innovation[problem.rows] - e) * fitted.tail.weights(e) / fitted.tail.scale**2
     return -np.linalg.solve(fitted.hessian, j.T @ change)

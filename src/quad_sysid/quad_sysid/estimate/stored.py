@@ -95,7 +95,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
         elif spec.positive and value <= 0.0:
             vague[name] = None
     for i, name in enumerate(names):
-        if name in vague or i in problem.held_terms or not joint[i, i] > 0.0:
+        if name in vague or i in problem.zero_terms or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
     errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
@@ -105,7 +105,7 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
             for (name, value, unit), std in zip(group, errors, strict=False)
         ) for i, group in enumerate(groups)
     )
-    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.held_terms else p
+    base = tuple(Parameter(p.name, 0.0, None, p.unit) if i in problem.zero_terms else p
                  for i, p in enumerate(base))
     return Readings(base, tuple(effects), names, joint)
 
@@ -222,14 +222,14 @@ def part_of(model: AxisModel, effect: EffectEstimate) -> Part:
         for key, value in effect.settings.items()
     }
     if physics is None or names != {*physics.readable(np.ones(len(physics.parameters)), settings)}:
-        stated = ' '.join([effect.name, *filter(None, (effect.variant,)),
-                           f'({", ".join(sorted(names))})'])
+        label = ' '.join([effect.name, *filter(None, (effect.variant,)),
+                          f'({", ".join(sorted(names))})'])
         if effect.name.partition(':')[0] in ('shape', 'mode'):
             raise BadInputError(
                 f'model: {model.axis}.effects', 'has an effect that only versions before the '
-                'release of 0.2.0 write and read', stated, 'identify again with this version')
+                'release of 0.2.0 write and read', label, 'identify again with this version')
         raise BadInputError(
-            f'model: {model.axis}.effects', 'names an effect that is not known here', stated,
+            f'model: {model.axis}.effects', 'names an effect that is not known here', label,
             'one of your own is handed in, in Python as read_model(…, effects=(Mine(),)), to a '
             'command as --effects FILE.py; else identify again with this version',
         )

@@ -22,7 +22,6 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import FloatArray
 from quad_sysid.discover.base import fitted_from
 from quad_sysid.discover.constants import (
-    BELIEVED,
     BLOCK_S,
     ENOUGH,
     EXPLAINS,
@@ -32,6 +31,7 @@ from quad_sysid.discover.constants import (
     MOST_STRUCTURES,
     NAMED_FIRST,
     NEGLIGIBLE,
+    PRIOR_SIGMAS,
     PROJECTED,
     RESAMPLES,
 )
@@ -54,11 +54,11 @@ class Models:
     may run away. It is no explanation then, and only that rung of the ladder falls away.
     """
 
-    def __init__(self, searched: SearchResult, projection: Projection) -> None:
+    def __init__(self, result: SearchResult, projection: Projection) -> None:
         self.problem, self.projection = projection.problem, projection
-        self.best_fits = {(): searched.base} | {
+        self.best_fits = {(): result.base} | {
             tuple(sorted(scored.fit.structure.labels)): scored.fit
-            for scored in reversed(searched.all)}
+            for scored in reversed(result.all)}
         self.known: dict[tuple[str, ...], Fit] = {}
 
     def follows(self, model: Projected) -> bool:
@@ -277,9 +277,9 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         single = Projected(plain, projection.alone(base.theta), np.zeros(0))
         return Ladder(models, (Rung(single, single.missed, 0.0),))
     starts = [projection.alone(start) for start in (reference.theta, base.theta)]
-    begun = min((projection.project(plain, start, coarse=True) for start in starts),
+    first = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
-    lowest = projection.project(plain, begun.theta)
+    lowest = projection.project(plain, first.theta)
     rungs = [Rung(lowest, projection.disagreement(lowest), 0.0)]
     ladder = Ladder(models, tuple(rungs))
     if ladder.negligible or lowest.total <= 0.0:
@@ -296,8 +296,8 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         gained = last.total - float(np.sum(missed))
         if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
             climb.left_out.clear()
-            explained = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
-            rungs.append(Rung(step, missed, max(last.explains_pct, float(explained))))
+            percents = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
+            rungs.append(Rung(step, missed, max(last.explains_pct, float(percents))))
         else:
             climb.left_out.add(_added(step).label)
     if rungs[-1].explains_pct < ENOUGH:
@@ -314,13 +314,13 @@ def _added(model: Projected) -> Effect:
     return model.structure.parts[-1].effect
 
 
-def _believed(model: Projected) -> bool:
+def _within_prior(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
     effect, values = _added(model), model.theta[model.structure.slices()[-1]]
     sizes = np.array([spec.spread or np.inf for spec in effect.parameters])
     precision = np.diag(effect.precision(model.structure.parts[-1].settings, sizes))
     away = values - [spec.centre for spec in effect.parameters]
-    return effect.kind != 'named' or bool(np.all(precision * away**2 <= BELIEVED**2))
+    return effect.kind != 'named' or bool(np.all(precision * away**2 <= PRIOR_SIGMAS**2))
 
 
 class _Climb:
@@ -343,24 +343,24 @@ class _Climb:
         finer: what the reference has, no more causes.
         """
         promising = self.promising(model, () if finer else self.parts)
-        tried: list[Projected] = []
+        trials: list[Projected] = []
         for kinds in (('named',), ('shape', 'mode', 'event')):
-            tried += filter(_believed, side_by_side([
+            trials += filter(_within_prior, side_by_side([
                 partial(self.extended, model, part, values)
                 for part, values in promising if part.effect.kind in kinds]))
-            best = min(tried, key=lambda trial: trial.total, default=None)
+            best = min(trials, key=lambda trial: trial.total, default=None)
             if best is not None and \
                     best.total <= (1.0 - 0.01 * EXPLAINS) * self.whole < model.total:
                 break
         if best is None:
             return None
-        needed = NAMED_FIRST * (model.total - best.total)
-        named = [trial for trial in tried if _added(trial).kind == 'named'
-                 and model.total - trial.total >= needed > 0.0]
+        least = NAMED_FIRST * (model.total - best.total)
+        named = [trial for trial in trials if _added(trial).kind == 'named'
+                 and model.total - trial.total >= least > 0.0]
         first = max(named, default=best, key=lambda trial: (
             self.scores.get(frozenset(trial.structure.labels), -np.inf), -trial.total))
-        alike = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
-        plainest = min(alike, key=lambda trial: (len(_added(trial).parameters), trial.total))
+        group = [trial for trial in (named or [best]) if _added(trial).name == _added(first).name]
+        plainest = min(group, key=lambda trial: (len(_added(trial).parameters), trial.total))
         if plainest.total <= 0.0:  # the reference itself
             return plainest
         return self.projection.project(plainest.structure, plainest.theta)
@@ -375,10 +375,10 @@ class _Climb:
         if fitted is not None:  # by the search, perhaps where the base alone does not lead
             own = {other.effect.label: fitted.theta[where]
                    for other, where in fitted.structure.effects()}
-            searched = np.concatenate([fitted.theta[: projection.base],
-                                       *(own[label] for label in structure.labels),
-                                       projection.noise])
-            start = min((start, searched), key=lambda theta: projection.project(
+            of_search = np.concatenate([fitted.theta[: projection.base],
+                                        *(own[label] for label in structure.labels),
+                                        projection.noise])
+            start = min((start, of_search), key=lambda theta: projection.project(
                 structure, theta, most=0).total)
         return projection.project(structure, start, coarse=True)
 
@@ -399,9 +399,9 @@ class _Climb:
         steps = np.r_[projection.steps(structure, theta), np.full(projection.noise.size, 1e-4)]
         columns, _, _ = flight.columns(structure, theta, rate, steps)
         q = np.linalg.qr(columns[problem.rows, : -projection.noise.size])[0]
-        left = missing - q @ (q.T @ missing)
+        residual = missing - q @ (q.T @ missing)
         of_reference = [
-            (_explained(trajectory, part, [], reference.theta[where], q, left)[0], part,
+            (_explained(trajectory, part, [], reference.theta[where], q, residual)[0], part,
              reference.theta[where])
             for part, where in reference.structure.effects() if part.effect.label not in have]
         of_reference = sorted(of_reference, key=lambda law: -law[0])[:PROJECTED]
@@ -412,7 +412,7 @@ class _Climb:
             if effect.kind == 'named' and effect.label not in have and not effect.wanders and (
                     effect.happens
                     or type(effect).starts_by_residual is Effect.starts_by_residual):
-                shares += _share(trajectory, part, q, left)
+                shares += _share(trajectory, part, q, residual)
         best: dict[str, tuple[float, Part, FloatArray]] = {}
         for law in sorted(shares, key=lambda law: -law[0]):
             best.setdefault(law[1].effect.label, law)
@@ -428,13 +428,13 @@ class _Climb:
 
 
 def _share(trajectory: Trajectory, part: Part, q: FloatArray,
-           left: FloatArray) -> list[tuple[float, Part, FloatArray]]:
+           residual: FloatArray) -> list[tuple[float, Part, FloatArray]]:
     """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
     effect, linear, out = part.effect, linear_of(part), []
     for start in effect.starts(trajectory.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
         p[linear] = 0.0
-        share, sizes = _explained(trajectory, part, linear, p, q, left)
+        share, sizes = _explained(trajectory, part, linear, p, q, residual)
         if linear:
             p[linear] = sizes
         if not any(effect.parameters[j].positive and p[j] < 0.0 for j in linear):
@@ -443,7 +443,7 @@ def _share(trajectory: Trajectory, part: Part, q: FloatArray,
 
 
 def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
-               left: FloatArray) -> tuple[float, FloatArray]:
+               residual: FloatArray) -> tuple[float, FloatArray]:
     """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
 
     Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
@@ -452,9 +452,9 @@ def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatAr
     rows = trajectory.problem.rows
     c = np.stack([column[rows] for column in trajectory.columns(part, linear, p)], axis=1)
     c = c - q @ (q.T @ c)
-    sizes = np.linalg.lstsq(c, left, rcond=1e-8)[0]
-    after = left - c @ sizes
-    return 1.0 - float(after @ after) / max(float(left @ left), 1e-30), sizes
+    sizes = np.linalg.lstsq(c, residual, rcond=1e-8)[0]
+    after = residual - c @ sizes
+    return 1.0 - float(after @ after) / max(float(residual @ residual), 1e-30), sizes
 
 
 # ------------------------------------------------------------------ what comes again
@@ -472,12 +472,12 @@ def resampled(
     what is explained.
     """
     block = problem.blocks(BLOCK_S)
-    kept = search.all[:MOST_STRUCTURES]
+    entries = search.all[:MOST_STRUCTURES]
     logs = np.array([
         np.bincount(block, fit.tail.log_density(fit.prediction.innovation[problem.rows]))
-        for fit in (scored.fit for scored in kept)
+        for fit in (scored.fit for scored in entries)
     ])
-    prior = np.array([scored.score for scored in kept]) - logs.sum(axis=1)
+    prior = np.array([scored.score for scored in entries]) - logs.sum(axis=1)
     blocks = int(block.max()) + 1
     weights = np.random.default_rng(0).exponential(size=(RESAMPLES, blocks))
     weights *= blocks / weights.sum(axis=1, keepdims=True)
@@ -490,7 +490,7 @@ def resampled(
               if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
     counts: Counter[str] = Counter()
     for index, count in Counter(leading.tolist()).most_common():
-        reference = kept[index].fit
+        reference = entries[index].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
         missed = np.array([rung.missed for rung in rungs] if reference is search.best

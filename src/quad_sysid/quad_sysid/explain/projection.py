@@ -95,8 +95,8 @@ class Projection:
         wandering = [part.effect.label for part in own.parts if part.effect.wanders]
         states = np.column_stack([prediction.states, np.zeros(len(prediction.states))])
         labels = [part.effect.label for part in structure.parts if part.effect.wanders]
-        kept = [end + wandering.index(label) if label in wandering else -1 for label in labels]
-        return replace(prediction, states=states[:, [*range(end), *kept]])
+        columns = [end + wandering.index(label) if label in wandering else -1 for label in labels]
+        return replace(prediction, states=states[:, [*range(end), *columns]])
 
     def alone(self, theta: FloatArray) -> FloatArray:
         """(p,) the base's coordinates of a fit, with the reference's noise."""
@@ -170,8 +170,8 @@ class Projection:
         stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
         for k in range(STRETCHES):
             inside = stretch == k
-            trained = self._on(~inside).project(model.structure, model.theta, most=1)
-            as_they_are = self._on(inside).project(model.structure, trained.theta, most=0)
+            other = self._on(~inside).project(model.structure, model.theta, most=1)
+            as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
             missed[inside] = as_they_are.missed
         return missed
 
@@ -218,7 +218,7 @@ class Projection:
         """
         out = self._differences(structure, theta, self.run(structure, theta),
                                 self.steps(structure, theta))
-        out[:, self.problem.held_terms] = 0.0
+        out[:, self.problem.zero_terms] = 0.0
         return out
 
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:

@@ -36,7 +36,7 @@ Row = dict[str, Any]
 ANSWERED, CANNOT_TELL, FAILED = 'answered', 'cannot_tell', 'failed'
 LOGS = ('.ulg', '.bin', '.log', '.bbl', '.bfl')
 """Endings of raw logs, which are read as `quad-sysid import` reads them."""
-PACKED = ('.gz', '.xz', '.bz2')
+COMPRESSED = ('.gz', '.xz', '.bz2')
 BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
 """Parameters of the base that every row holds, by axis."""
 OF_AXIS = ('verdict', 'effects', 'error_before', 'error_after', 'effect_parameters', 'gains',
@@ -166,7 +166,7 @@ def of_records(records: Sequence[Record], aircraft: Sequence[str] = (), out: str
 
 def _is_log(name: str) -> bool:
     path = PurePosixPath(name.lower())
-    return (PurePosixPath(path.stem) if path.suffix in PACKED else path).suffix in LOGS
+    return (PurePosixPath(path.stem) if path.suffix in COMPRESSED else path).suffix in LOGS
 
 
 def _job(place: Place, results: Place, bag: str, names: tuple[str, ...],
@@ -297,16 +297,16 @@ def alone(job: Job, work: Callable[[Job], Row]) -> Row:
 
     A process that dies costs its bag one more try; one that takes too long is ended.
     """
-    for tried in range(1, TRIES + 1):
+    for attempt in range(1, TRIES + 1):
         process = getattr(_here, 'process', None) or _Process()
         _here.process = process
         row, reason = process.ask(job, work)
         if row is not None:
             return keep(job, row)
         _here.process = None
-        if not reason.startswith('its process died') or tried == TRIES:
+        if not reason.startswith('its process died') or attempt == TRIES:
             break
-    return keep(job, blank(job, f'{reason}, {TRIES} times' if tried == TRIES else reason))
+    return keep(job, blank(job, f'{reason}, {TRIES} times' if attempt == TRIES else reason))
 
 
 _here = threading.local()
@@ -328,12 +328,13 @@ class _Process:
             if interrupt.ending:
                 raise SystemExit
             resource_tracker.ensure_running()  # which lets the signals in again
-            with interrupt.held():  # a terminal sends SIGINT to all, and this process ends them
+            # a terminal sends SIGINT to all, and this process ends them
+            with interrupt.uninterrupted():
                 forkserver.ensure_running()
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            self._pipe, remote = context.Pipe()
+            self._process = context.Process(target=_serve, args=(remote,), daemon=True)
             self._process.start()
-        theirs.close()
+        remote.close()
 
     def ask(self, job: Job, work: Callable[[Job], Row]) -> tuple[Row | None, str]:
         """The row, or why there is none; this process is of no use any more then."""

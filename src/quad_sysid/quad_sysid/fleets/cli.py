@@ -138,34 +138,34 @@ def _run(options: argparse.Namespace) -> int:
     if options.shard:
         every = shard_of(every, options.shard)
     if options.merge:
-        kept = known(every)
-        rows = [kept[job.name] for job in every if job.name in kept]
+        stored = known(every)
+        rows = [stored[job.name] for job in every if job.name in stored]
     else:
         rows = run(every, options.workers, options.cluster, sample=options.plan,
                    show=arguments.progress(quiet=options.quiet),
                    log=_log(out, name, options, options.plan))
     fleet = Fleet(rows, options.group_by, options.since, name)
     partial = bool(options.shard or options.plan)
-    written = [] if partial else write(rows, out)
+    files = [] if partial else write(rows, out)
     if not partial:
         out.write(PAGE, fleet.page())
-        written.append(PAGE)
+        files.append(PAGE)
     if options.json:
         print(json.dumps(rows, indent=1))
     elif not options.quiet and not options.plan:
         print(fleet)
         if len(rows) < len(every):
             print(f'\n{len(every) - len(rows)} bags are not done yet')
-        print('\n' + (f'{", ".join(written)} in {out.address}' if written else
+        print('\n' + (f'{", ".join(files)} in {out.address}' if files else
                       f'rows in {out.address}/rows; --merge makes the table of all'))
     if every and not any(row['status'] == ANSWERED for row in rows):
         print(f'quad-sysid: {options.folder}: no bag could be answered; the reasons are in '
-              f'{out.address}/{CSV if written else "rows"}', file=sys.stderr)
+              f'{out.address}/{CSV if files else "rows"}', file=sys.stderr)
         return arguments.NOT_ANSWERED
     return 0
 
 
-def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
+def _log(out: Place, name: str, options: argparse.Namespace, echo: bool
          ) -> Callable[[str], None]:
     """What appends lines to the log: among the results, or here where these are on a store."""
     path = make_folder(out.path) / LOG if out.store is None else Path(f'{name}_{LOG}')
@@ -175,7 +175,7 @@ def _log(out: Place, name: str, options: argparse.Namespace, shown: bool
         stamp = datetime.now(timezone.utc).strftime('%Y-%m-%dT%H:%M:%SZ')
         with path.open('a', encoding='utf-8') as stream:
             stream.write(escaped(f'{stamp} {part}{line}\n'))
-        if shown and not line.startswith('bag ') and not (options.quiet or options.json):
+        if echo and not line.startswith('bag ') and not (options.quiet or options.json):
             print(line)
 
     return log

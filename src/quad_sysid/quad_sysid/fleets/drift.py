@@ -33,7 +33,7 @@ INTERVAL = 0.95
 """Probability of every interval that is stated."""
 NEAR = float(stats.chi2.ppf(INTERVAL, 1))
 """Loss of twice the logarithm of the likelihood within the interval of one parameter."""
-TRUSTED = 20.0
+NEARLY_NORMAL = 20.0
 """Degrees of freedom beyond which the tail of a single flight is not believed to be normal."""
 MANY = 1e9
 """Degrees of freedom with which Student's t is normal."""
@@ -271,14 +271,14 @@ def _shapes(days: FloatArray) -> tuple[FloatArray, list[tuple[str, int]]]:
     n = len(days)
     ramps = [('ramp', i) for i in range(n - 2)]
     steps = [('step', i) for i in range(1, n - 2)]
-    kept, shapes = [], []
+    columns, shapes = [], []
     for kind, i in (*ramps, *steps):
         shape = (np.maximum(days - days[i], 0.0) if kind == 'ramp'
                else (np.arange(n) > i).astype(float))
         if np.count_nonzero(shape) >= 2:  # flights may share their day
-            kept.append((kind, i))
+            columns.append((kind, i))
             shapes.append(shape)
-    return np.array(shapes), kept
+    return np.array(shapes), columns
 
 
 def _drift(series: Series, scale: _Scale) -> Drift:
@@ -291,18 +291,18 @@ def _drift(series: Series, scale: _Scale) -> Drift:
     without = slope[:, None] - w * about * residuals / (information[:, None] * free)
     squares = (residuals**2 * w).sum(axis=1)
     scatter = np.maximum(squares[:, None] - w * residuals**2 / free, 0.0)
-    left = np.abs(without) * np.sqrt(less / scale.variance(series, scatter, n - 3.0))
+    deleted_residuals = np.abs(without) * np.sqrt(less / scale.variance(series, scatter, n - 3.0))
     t = np.abs(slope) * np.sqrt(information / scale.variance(series, squares, n - 2.0))
     best = int(np.argmax(t))
     p = min(1.0, len(shapes) * _chance(t[best], scale, n - 2.0))
-    alone = min(1.0, len(shapes) * _chance(left[best].min(), scale, n - 3.0))
+    alone = min(1.0, len(shapes) * _chance(deleted_residuals[best].min(), scale, n - 3.0))
     variance = float(scale.variance(series, squares[best], n - 2.0))
     limit = squares[best] + NEAR * variance
     near = [series.days[i] for k, (_, i) in enumerate(shapes) if squares[k] <= limit]
-    kind, begun = shapes[best]
+    kind, first = shapes[best]
     change = float(slope[best] * np.ptp(x[best]))
     level = float((y * w).sum() / w.sum() - slope[best] * (x[best] * w).sum() / w.sum())
-    return Drift(series.aircraft, kind, float(series.days[begun]),
+    return Drift(series.aircraft, kind, float(series.days[first]),
                  (float(min(near)), float(max(near))), level, level + change,
                  float(np.ptp(x[best]) * np.sqrt(variance / information[best])),
                  p if alone <= LEVEL else max(p, alone), n)
@@ -329,7 +329,7 @@ def _odd(series: Series, scale: _Scale, drift: Drift | None) -> list[Odd]:
     scatter = np.maximum((residuals**2 * w).sum() - w * residuals**2 / free, 0.0)
     deleted = residuals / free  # from what is expected without this flight
     std = np.sqrt(scale.variance(series, scatter, degrees) / (w * free))
-    p = 2.0 * special.stdtr(min(scale.degrees + degrees, TRUSTED), -np.abs(deleted) / std)
+    p = 2.0 * special.stdtr(min(scale.degrees + degrees, NEARLY_NORMAL), -np.abs(deleted) / std)
     expected = y - deleted
     return [Odd(series.aircraft, bag, float(y[k]), float(expected[k]), float(std[k]), float(p[k]))
             for k, bag in enumerate(series.bags)]

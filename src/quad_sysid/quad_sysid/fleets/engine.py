@@ -26,7 +26,7 @@ from quad_sysid.fleets.place import Place
 Work = Callable[[Job], Row]
 SAMPLE = 10
 """Bags by which the cost of all is foretold."""
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 """Longest time for a scheduler to answer, and for a first worker to join it."""
 SETTINGS = {
     'distributed.scheduler.allowed-failures': 1,  # a worker that dies: one more try
@@ -54,10 +54,10 @@ def shard_of(every: Sequence[Job], shard: str) -> list[Job]:
 def known(every: Sequence[Job]) -> dict[str, Row]:
     """The rows among the results that can be read, by the names of their bags."""
     rows = {}
-    kept = Place(every[0].out).read([job.row for job in every]) if every and every[0].out else {}
+    stored = Place(every[0].out).read([job.row for job in every]) if every and every[0].out else {}
     for job in every:
         try:
-            row = json.loads(kept[job.row])
+            row = json.loads(stored[job.row])
         except (KeyError, ValueError, RecursionError):
             continue
         if isinstance(row, dict) and 'status' in row:
@@ -101,11 +101,11 @@ def run(every: Sequence[Job], workers: int = 1, cluster: str = '', *,
         rows[row['bag']] = row
         new.append(row)
         elapsed_s = time.monotonic() - start
-        left = duration(elapsed_s / len(new) * (waiting - len(new)))
+        remaining = duration(elapsed_s / len(new) * (waiting - len(new)))
         done = f'bag {len(new)} of {waiting}, {row["bag"]} {row["status"]}'
-        log(f'{done} in {row["seconds"]:.1f} s, {left} left'
+        log(f'{done} in {row["seconds"]:.1f} s, {remaining} left'
             + (f' ({row["reason"]})' if row['reason'] else ''))
-        show(f'{done}, {left} left')
+        show(f'{done}, {remaining} left')
         if len(new) == SAMPLE or len(new) == len(todo) < SAMPLE:
             log(cost(new, waiting, elapsed_s))
     show('')
@@ -116,14 +116,14 @@ def cost(rows: Sequence[Row], count: int, elapsed_s: float) -> str:
     """Words on the cost of `count` bags, by `rows` that were finished within elapsed_s."""
     if not (able := [row for row in rows if row['status'] != FAILED]):
         return 'no bag could be read, so what they cost is not known'
-    cpu, size, kept = (sum(row.get(name, 0) for row in able) / len(able)
-                       for name in ('cpu_s', 'bytes', 'kept_bytes'))
-    left = max(0, count - len(rows))
+    cpu, size, stored = (sum(row.get(name, 0) for row in able) / len(able)
+                         for name in ('cpu_s', 'bytes', 'kept_bytes'))
+    rest = max(0, count - len(rows))
     peak = max(row.get('peak_mb', 0.0) for row in able)
     return (f'{len(able)} bags took {cpu:.2g} s of CPU each, at most {peak:.0f} MB of memory, '
-            f'{size / 1e6:.2g} MB to read, {kept / 1e6:.2g} MB of results; the other {left}: '
-            f'{duration(cpu * left)} of CPU, {duration(elapsed_s / len(rows) * left)} at this '
-            f'pace, {size * left / 1e9:.2g} GB to read, {kept * left / 1e9:.2g} GB of results')
+            f'{size / 1e6:.2g} MB to read, {stored / 1e6:.2g} MB of results; the other {rest}: '
+            f'{duration(cpu * rest)} of CPU, {duration(elapsed_s / len(rows) * rest)} at this '
+            f'pace, {size * rest / 1e9:.2g} GB to read, {stored * rest / 1e9:.2g} GB of results')
 
 
 def duration(seconds: float) -> str:
@@ -184,7 +184,7 @@ def _client(cluster: str, workers: int) -> Iterator[Any]:
         return
     where = {'scheduler_file': cluster} if Path(cluster).is_file() else {'address': cluster}
     try:
-        client = Client(**where, timeout=PATIENCE_S, set_as_default=False)
+        client = Client(**where, timeout=TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise BadInputError('--cluster', 'cannot be reached', cluster,
                             'name a scheduler such as tcp://host:8786, its file, or local'
@@ -196,7 +196,7 @@ def _client(cluster: str, workers: int) -> Iterator[Any]:
 def _compare(client: Any, job: Job) -> None:
     """Raise BadInputError where a worker differs from here, or sees other bags or results."""
     try:
-        client.wait_for_workers(1, timeout=PATIENCE_S)
+        client.wait_for_workers(1, timeout=TIMEOUT_S)
     except TimeoutError:
         raise BadInputError('--cluster', 'has no worker', remedy='start some: dask worker ADDRESS'
                             ) from None
@@ -234,8 +234,8 @@ def about_here(job: Job, check: str) -> dict[str, str]:
         with suppress(PackageNotFoundError):
             about[name] = version(name)
     if job.out:
-        seen = not check or check in Place(job.out).read([check])
-        about['view of the results'] = job.out if seen else 'another folder'
+        is_same = not check or check in Place(job.out).read([check])
+        about['view of the results'] = job.out if is_same else 'another folder'
     if job.files:
         try:
             Place(job.folder).ends(*job.files[0])

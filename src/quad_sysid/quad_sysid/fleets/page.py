@@ -32,12 +32,12 @@ from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, pane
 from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import chance, named, number
-from quad_sysid.units import shown_in
+from quad_sysid.units import unit_and_factor
 
 MOST_ROWS, MOST_NAMES = 200, 10
 """Rows of one table on the page, and bags without an answer that a terminal names."""
 NO_NAME = 'all'
-SHOWN = 0.5
+TREND_SHARE = 0.5
 """Share of an aircraft's flights that show an effect whose size is followed over time."""
 FIRST_DAY = 1000.0
 """Day since 1970 from which a flight has a date: a log without a clock begins at one second."""
@@ -190,12 +190,12 @@ class Fleet:
                 series = []
                 for craft, every in sorted(by_craft.items()):
                     some = [one for one in every if one[0] > FIRST_DAY] or every
-                    shown = sum(value != 0.0 for *_, value, _ in some) / len(some)
-                    if shown < SHOWN:
+                    share = sum(value != 0.0 for *_, value, _ in some) / len(some)
+                    if share < TREND_SHARE:
                         continue
                     days, bags, numbers, stds = zip(*sorted(some), strict=True)
                     series.append(Series(craft, bags, np.array(days), np.array(numbers),
-                                         np.array(stds), shown < 1.0))
+                                         np.array(stds), share < 1.0))
                 if series:
                     yield axis, name, units[name], tuple(series)
 
@@ -211,7 +211,7 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
     0 there, give or take half of the least that was found anywhere.
     """
     axis_units = units_of(axis)
-    units = {name: shown_in(axis_units, unit)[0] for name, unit in UNITS.items()}
+    units = {name: unit_and_factor(axis_units, unit)[0] for name, unit in UNITS.items()}
     values = dict[str, Values]()
     for row in flights:
         units |= row.get(f'{axis}_base_units', {})
@@ -227,12 +227,12 @@ def _values(axis: str, flights: Sequence[Row]) -> tuple[dict[str, str], dict[str
             values.setdefault(name, {})[row['bag']] = float(entry['value']), float(entry['std'])
             if entry.get('vanishes'):
                 vanishing.add(name)
-    searched = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']
+    bags = [row['bag'] for row in flights if row[f'{axis}_verdict'] != 'not_searched']
     for name in vanishing:
         some = values[name].values()
         unsure = max(float(np.median([std for _, std in some])),
                      min(abs(value) for value, _ in some) / 2.0)
-        values[name] |= {bag: (0.0, unsure) for bag in searched if bag not in values[name]}
+        values[name] |= {bag: (0.0, unsure) for bag in bags if bag not in values[name]}
     return units, values
 
 

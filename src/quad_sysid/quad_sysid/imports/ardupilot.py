@@ -112,8 +112,8 @@ OF_CHIRP = {'Mag': 'magnitude', 'FSt': 'start_hz', 'FSp': 'stop_hz', 'TR': 'leng
 def read(path: Path) -> ForeignLog:
     """Read a dataflash log; raises BadInputError where it is none or lacks rates or commands."""
     table = _load(path)
-    seen, gyro = (table.stream(*signal.columns) for signal in (CONTROL_RATES, GYRO))
-    first = seen is not None and (gyro is None or seen.rate_hz >= AS_FAST * gyro.rate_hz)
+    estimate, gyro = (table.stream(*signal.columns) for signal in (CONTROL_RATES, GYRO))
+    first = estimate is not None and (gyro is None or estimate.rate_hz >= AS_FAST * gyro.rate_hz)
     reading = Reading(table)
     reading.take(CONTROL_RATES if first else GYRO, *SIGNALS)
     if 'rates' not in reading.streams:
@@ -225,8 +225,8 @@ def _load(path: Path) -> Table:
         columns[ours], times[ours] = values[first], log.times[name][first]
         if ours.startswith('RCOU.C'):
             columns[ours] = np.where(columns[ours] > MAX_PULSE, np.nan, columns[ours])
-    begun = {name: value for name, value in log.begun.items() if name in ARDUPILOT.logged}
-    table = Table(str(path), columns, times, header={**log.parameters, **begun},
+    initial = {name: value for name, value in log.initial.items() if name in ARDUPILOT.logged}
+    table = Table(str(path), columns, times, header={**log.parameters, **initial},
                   changed=tuple(log.changed))
     if 'RATE.R' in columns and (log.in_ms or _hundredths(columns)):
         for name in OF_RATES:

@@ -51,7 +51,7 @@ POLES = 14.0
 PULSE_US = (1000.0, 2000.0)
 """Pulses of no and of full throttle, µs."""
 IN_THE_AIR = 0.25  # of the throttle stick: below it an aircraft stands or falls
-FEWEST = 200
+MIN_ROWS = 200
 """Least number of frames of a flight."""
 UNIT_AS_INTEGER = 8127.0
 """INDIflight's 1.0 of a command or a quaternion, (127 << 6) - 1."""
@@ -142,10 +142,10 @@ def _loop_s(header: Mapping[str, str]) -> float | None:
 def _utc_s(header: Mapping[str, str], first_s: float) -> float | None:
     """Time 0 in UTC, s, by the header's start at `first_s`; None where the board had no clock."""
     try:
-        begun = datetime.fromisoformat(header.get('Log start datetime', ''))
-        if begun.tzinfo is None:
-            begun = begun.replace(tzinfo=timezone.utc)
-        return begun.timestamp() - first_s
+        start = datetime.fromisoformat(header.get('Log start datetime', ''))
+        if start.tzinfo is None:
+            start = start.replace(tzinfo=timezone.utc)
+        return start.timestamp() - first_s
     except (ValueError, OverflowError, OSError):
         return None
 
@@ -187,7 +187,7 @@ def _chirps(reading: Reading) -> Iterator[Experiment]:
         return
     on = np.flatnonzero(phase.values[:, 0] > 0.0)
     for rows in apart(on, phase.time_s):
-        if rows.size < FEWEST:
+        if rows.size < MIN_ROWS:
             continue
         times, angle = phase.time_s[rows], phase.values[rows, 0] / PHASE
         wave = np.column_stack([np.sin(angle), np.cos(angle)])
@@ -212,10 +212,10 @@ def _shaped(times: FloatArray, angle: FloatArray, fields: Mapping[str, str]) -> 
     """
     dt = float(np.median(np.diff(times)))
     near = max(round(SMOOTH_S / dt), 1)
-    turned = np.unwrap(angle)
-    rows = np.arange(turned.size)
-    ahead, behind = np.minimum(rows + near, turned.size - 1), np.maximum(rows - near, 0)
-    hertz = (turned[ahead] - turned[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
+    unwrapped = np.unwrap(angle)
+    rows = np.arange(unwrapped.size)
+    ahead, behind = np.minimum(rows + near, unwrapped.size - 1), np.maximum(rows - near, 0)
+    hertz = (unwrapped[ahead] - unwrapped[behind]) / (times[ahead] - times[behind]) / (2.0 * np.pi)
     hertz = np.maximum.accumulate(np.abs(hertz))  # it rises, also where the log is too slow for it
     wave = np.cos(angle) * np.minimum(hertz / CHIRP_HZ, 1.0)
     lag, lead = (number(fields, f'chirp_{name}_freq_hz') for name in ('lag', 'lead'))
@@ -239,10 +239,10 @@ def _signals(table: Table, units: dict[str, str], *, indi: bool) -> tuple[Signal
     """The channels of a log besides the motors, by its header's units and scales."""
     columns, gyro = table.columns, units.get('gyroADC[0]', '')
     # whether the sensors' z axis points down, by the specific force in flight
-    turned = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
-    frame = MIRROR if turned else np.ones(3)
+    is_frd = indi and bool(np.nanmean(columns.get('accSmooth[2]', np.zeros(1))) <= 0.0)
+    frame = MIRROR if is_frd else np.ones(3)
     scale = _rate_unit(table, gyro)
-    how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if turned else 'the frame is ours')
+    how = f'times {scale:.6g}; ' + ('pitch and yaw turned' if is_frd else 'the frame is ours')
 
     def volts(values: FloatArray) -> FloatArray:
         too_high = float(np.median(values)) > PLAUSIBLE_PACK_V[1]
@@ -299,7 +299,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
         places = [i for i, name in enumerate(names) if name.partition('[')[0] in FIELDS]
         with _events() as events:
             rows, faults = _frames(parser, places, len(names), events)
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_ROWS:
         what = 'holds no frames' if not len(rows) else 'holds too few frames'
         raise BadInputError(
             str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),

@@ -23,7 +23,7 @@ EPOCH_S = 1e8
 """Times beyond this count as seconds since 1970; others start at one second."""
 JUMP_S, JUMP_INTERVALS = 10.0, 20.0
 """Forward jump (s, and usual intervals) from which another experiment begins."""
-FEWEST = 20
+MIN_SAMPLES = 20
 """Least rows of a stretch between two jumps; fewer are wrong stamps."""
 SPARSEST = 0.01
 """Least share of a grid's cycles that hold a sample; with fewer, times are wrong."""
@@ -149,7 +149,7 @@ def _stretches(time_s: FloatArray, interval: float) -> list[np.ndarray]:
     steps = np.diff(time_s)
     jumps = (steps < -BACK * interval) | (steps > _jump(interval))
     parts = np.split(np.arange(len(time_s)), np.flatnonzero(jumps) + 1)
-    return [part for part in parts if len(part) >= min(FEWEST, len(time_s))]
+    return [part for part in parts if len(part) >= min(MIN_SAMPLES, len(time_s))]
 
 
 def _omitted(count: int, what: str) -> list[str]:
@@ -272,8 +272,8 @@ def _uneven(steps: FloatArray, interval: float) -> float:
         if high - low < STEADY * high:
             share = steps / interval
             near = np.abs(share - 1.0) <= UNEVEN
-            beside = np.abs(share - np.round(share))
-            if near.mean() >= FEW_LOST and np.quantile(beside, 0.99) <= MAX_JITTER:
+            distance = np.abs(share - np.round(share))
+            if near.mean() >= FEW_LOST and np.quantile(distance, 0.99) <= MAX_JITTER:
                 return in_whole_us(float(steps[near].mean()))
             usual = (means >= low) & (means <= high)
             return in_whole_us(float(means[usual].mean()))
@@ -345,7 +345,7 @@ def drawn_on(stream: Stream | None, times: FloatArray) -> FloatArray | None:
     return draw(stream, times, MAX_PAUSE / stream.rate_hz)
 
 
-def held_on(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
+def hold_if_any(stream: Stream | None, times: FloatArray, dt: float) -> FloatArray | None:
     """`hold` for a stream that may be absent; None without one."""
     return None if stream is None else hold(stream, times, dt)
 
@@ -354,6 +354,6 @@ def mean_of_next_cycle(stream: Stream, times: FloatArray, dt: float,
                        interval: float | None = None) -> FloatArray:
     """Mean of the active value from each time to the next; interval: as in `hold`."""
     parts = dt / PARTS
-    fine = (times[:, None] + parts * np.arange(PARTS)).ravel()
-    resampled = hold(stream, fine, parts, interval)
+    sub_times = (times[:, None] + parts * np.arange(PARTS)).ravel()
+    resampled = hold(stream, sub_times, parts, interval)
     return np.asarray(resampled.reshape(len(times), PARTS, -1).mean(axis=1), dtype=np.float64)

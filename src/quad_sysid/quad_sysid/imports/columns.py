@@ -105,22 +105,22 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
 
     Raises BadInputError naming file, line and column.
     """
-    wanted = list(_roles(options))
-    table = opened or open_table(options.file, wanted, options.messages)
+    names = list(_roles(options))
+    table = opened or open_table(options.file, names, options.messages)
     options = options.called(table.aliases)
     roles = _roles(options)
     if opened is not None:
         table = replace(table, columns={name: table.columns[name] for name in roles})
     options = replace(options, units=_shared(options))
     units = _units(options, table)
-    odd: list[str] = []
+    remarks: list[str] = []
     table = _unsigned(options, table)
     _check_ranges(options, table, units)
     if options.time is not None:
         speeds = [np.nanstd(units[name](table.columns[name])) for name in options.rate]
         table = table.on_clock(options.time, units[options.time])
         times = _column(options, units, options.time, next(iter(table.times.values())))
-        odd += plausible.check_times(times, max(map(float, speeds), default=None))
+        remarks += plausible.check_times(times, max(map(float, speeds), default=None))
     elif options.sample_rate_hz is not None and not table.times:
         table = table.at_rate(options.sample_rate_hz)
     elif any(name not in table.times for name in roles):
@@ -132,12 +132,12 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
     notes = [*table.notes, *_limited(options, units, table), *_in_our_frame(options, streams)]
     _unwrap(options, streams)
     _check_speeds(options, units, streams)
-    odd += _compared(options, units, streams)
+    remarks += _compared(options, units, streams)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
-        rates=_placed(options, streams['rate']), angles=_placed(options, streams['angle']),
-        attitude_setpoint=_placed(options, streams['reference']),
-        rate_setpoint=_placed(options, streams['rate_reference']),
+        rates=_on_axes(options, streams['rate']), angles=_on_axes(options, streams['angle']),
+        attitude_setpoint=_on_axes(options, streams['reference']),
+        rate_setpoint=_on_axes(options, streams['rate_reference']),
         control=_wrench(options, streams['control'] and _stream(
             table, units, (*options.control, *options.names('thrust')), OPTIONS['control']),
             streams['control']),
@@ -145,7 +145,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
         velocity=streams['velocity'], position=streams['position'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
-        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(odd),
+        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(remarks),
         clock=tuple(notes), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
@@ -156,16 +156,16 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
 def _unsigned(options: ColumnOptions, table: Table) -> Table:
     """The table with the magnitudes of motors whose sign is that of their spin; it says so."""
     columns = {name: table.columns[name] for name in options.motors}
-    turned = [name for name, values in columns.items() if np.nanmin(values) < 0.0]
-    moving = all(np.nanstd(columns[name]) > 0.0 for name in turned)
-    if not turned or not moving or not all(map(one_sided, columns.values())):
+    negative = [name for name, values in columns.items() if np.nanmin(values) < 0.0]
+    moving = all(np.nanstd(columns[name]) > 0.0 for name in negative)
+    if not negative or not moving or not all(map(one_sided, columns.values())):
         return table
-    unsigned = [name for name in columns if name not in turned]
+    unsigned = [name for name in columns if name not in negative]
     sense = f', against {", ".join(unsigned)}' if unsigned else ''
-    line = (f'{", ".join(turned)} are negative, as motors that turn the other way{sense}: their '
+    line = (f'{", ".join(negative)} are negative, as motors that turn the other way{sense}: their '
             'magnitude is taken')
     return replace(table, notes=(*table.notes, line), columns={
-        **table.columns, **{name: -columns[name] for name in turned}})
+        **table.columns, **{name: -columns[name] for name in negative}})
 
 
 def _limited(options: ColumnOptions, units: Mapping[str, Unit], table: Table) -> Iterator[str]:
@@ -189,11 +189,11 @@ def _in_our_frame(options: ColumnOptions, streams: dict[str, Stream | None]) -> 
             yield ('the places of the motors hold for axes forward, left, up; if y points right '
                    'and z down, give --frame frd')
         return
-    turned = options.frame == 'frd' or (options.frame == 'auto' and bool(down))
+    is_frd = options.frame == 'frd' or (options.frame == 'auto' and bool(down))
     why = 'as --frame says' if options.frame != 'auto' or force is None else (
         f'the accelerometer shows {np.nanmedian(force.values[:, 2]):+.1f} m/s² on z')
     signs = [MIRROR[AXES.index(axis)] for axis in options.axes]
-    if turned:
+    if is_frd:
         for role in ('rate', 'angle', 'reference', 'rate_reference', 'control'):
             streams[role] = _times(streams[role], signs)
         streams['acceleration'] = _times(force, MIRROR)
@@ -292,7 +292,7 @@ def _unwrap(options: ColumnOptions, streams: dict[str, Stream | None]) -> None:
             angle = streams[role]
 
 
-def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
+def _on_axes(options: ColumnOptions, stream: Stream | None) -> Stream | None:
     """(n, 3) with the columns on their axes, 0 on the others."""
     if stream is None:
         return None
@@ -302,19 +302,19 @@ def _placed(options: ColumnOptions, stream: Stream | None) -> Stream | None:
 
 
 def _wrench(
-    options: ColumnOptions, control: Stream | None, turned: Stream | None
+    options: ColumnOptions, control: Stream | None, torques: Stream | None
 ) -> Stream | None:
     """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it.
 
     `turned` are the control columns in our frame.
     """
-    if control is None or turned is None:
+    if control is None or torques is None:
         return None
     out = np.zeros((len(control.values), 4))
     out[:, 0] = control.values[:, -1] if options.thrust else MIDDLE_COMMAND
-    index = np.searchsorted(turned.time_s, control.time_s)
+    index = np.searchsorted(torques.time_s, control.time_s)
     for i, axis in enumerate(options.axes):
-        out[:, 1 + AXES.index(axis)] = turned.values[index, i]
+        out[:, 1 + AXES.index(axis)] = torques.values[index, i]
     return Stream(control.time_s, out)
 
 
@@ -323,9 +323,9 @@ def _mapped(
 ) -> tuple[Mapped, ...]:
     """The use of each column."""
     out = []
-    placed = [(option, k, name) for option in OPTIONS
-              for k, name in enumerate(options.names(option))]
-    for option, k, name in placed:
+    entries = [(option, k, name) for option in OPTIONS
+               for k, name in enumerate(options.names(option))]
+    for option, k, name in entries:
         unit, stream = units[name], streams.get(option)
         place = 'motor' if option == 'motors' else option.replace('_', ' ')
         place += f' {k + 1}' if option == 'motors' else \
@@ -343,8 +343,8 @@ def _mapped(
 
 def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check each
     """Column → role, the time first; raises BadInputError on a contradiction."""
-    strange = [axis for axis in options.axes if axis not in AXES]
-    if strange or not options.axes or len(set(options.axes)) < len(options.axes):
+    unknown = [axis for axis in options.axes if axis not in AXES]
+    if unknown or not options.axes or len(set(options.axes)) < len(options.axes):
         raise BadInputError('--axis', 'is not an axis', ','.join(options.axes) or None,
                             f'use {", ".join(AXES)}, several by commas, or all')
     if bool(options.control) == bool(options.motors):
@@ -372,9 +372,9 @@ def _roles(options: ColumnOptions) -> dict[str, Role]:  # noqa: C901 - one check
                 raise BadInputError('import', 'one column is named twice', name,
                                     'name each once')
             roles[name] = what.role
-    strange = [name for name in options.units if name not in roles]
-    if strange:
-        raise BadInputError('--unit', 'names a column that is not imported', ', '.join(strange),
+    unknown = [name for name in options.units if name not in roles]
+    if unknown:
+        raise BadInputError('--unit', 'names a column that is not imported', ', '.join(unknown),
                             f'imported are {", ".join(roles)}')
     return roles
 
@@ -391,9 +391,9 @@ def _check_ranges(options: ColumnOptions, table: Table, units: Mapping[str, Unit
             names = options.names(option)
             likely = likely_units(table, option, names)[names.index(name)]
             if likely in UNITS[OPTIONS[option].role]:
-                shown = unit_of(OPTIONS[option].role, likely, name)(raw)
+                converted = unit_of(OPTIONS[option].role, likely, name)(raw)
                 slack = BEYOND.get(likely, 0.0)
-                if np.nanmin(shown) >= low - slack and np.nanmax(shown) <= high + slack:
+                if np.nanmin(converted) >= low - slack and np.nanmax(converted) <= high + slack:
                     fits = likely
             raise table.complain(
                 int(outside[0]), name,
@@ -432,7 +432,7 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         role: grid.values if stream is base else draw(stream, grid.times, 3.0 / stream.rate_hz)
         for role in ('rate', 'angle', 'reference') if (stream := streams[role]) is not None
     }
-    odd, leaning = [], []
+    notes, leaning = [], []
     for i, axis in enumerate(options.axes):
         columns = {
             role: _column(options, units, getattr(options, role)[i], values[:, i],
@@ -441,17 +441,18 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         }
         slides = [c.name for c in columns.values() if c.unit.name.startswith('m')]
         if slides:
-            odd.append(f'{", ".join(slides)}: in metres, which a bag of an aircraft has no place '
-                       f'for: read every rad of {axis} as a metre (qs.from_arrays keeps the unit)')
+            notes.append(f'{", ".join(slides)}: in metres, which a bag of an aircraft has no '
+                         f'place for: read every rad of {axis} as a metre (qs.from_arrays keeps '
+                         'the unit)')
         if 'angle' in columns:
             _check_angle(columns['angle'], axis)
         if 'rate' in columns:
-            odd += plausible.check_rate(columns['rate'], columns.get('angle'), grid.dt)
+            notes += plausible.check_rate(columns['rate'], columns.get('angle'), grid.dt)
         if columns.keys() >= {'rate', 'angle'} and axis != 'yaw':
             leaning.append((columns['rate'], columns['angle']))
         if 'reference' in columns and 'angle' in columns:
             plausible.check_reference(columns['reference'], columns['angle'])
-    return odd + plausible.check_extent(leaning)
+    return notes + plausible.check_extent(leaning)
 
 
 def _check_speeds(options: ColumnOptions, units: Mapping[str, Unit],

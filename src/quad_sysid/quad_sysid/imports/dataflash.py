@@ -63,7 +63,7 @@ class Log:
     """As they were at the end."""
     changed: list[Change] = field(default_factory=list)
     """Parameters that were set again, to another value."""
-    begun: dict[str, float] = field(default_factory=dict)
+    initial: dict[str, float] = field(default_factory=dict)
     """As those that changed were before."""
     skipped: int = 0
     """Bytes in which no whole message stands."""
@@ -76,7 +76,7 @@ class Log:
         """Take a parameter's value; each begins with what is logged first."""
         before = self.parameters.get(name, value)
         if before != value:
-            self.begun.setdefault(name, before)
+            self.initial.setdefault(name, before)
             self.changed.append(Change(time_s, name, value))
         self.parameters[name] = value
 
@@ -96,15 +96,15 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     log.in_ms = clock == 'TimeMS'
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
-    timed = [(messages[name][0], times) for name, times in stamps.items()]
-    places = np.concatenate([offsets for offsets, _ in timed]) if timed else np.zeros(0)
+    stamped = [(messages[name][0], times) for name, times in stamps.items()]
+    places = np.concatenate([offsets for offsets, _ in stamped]) if stamped else np.zeros(0)
     order = np.argsort(places, kind='stable')
-    timed_s = np.concatenate([times for _, times in timed])[order] if timed else np.zeros(0)
+    stamps_s = np.concatenate([times for _, times in stamped])[order] if stamped else np.zeros(0)
     for name, (offsets, rows) in messages.items():
         times = stamps.get(name)
         if times is None:  # before 2015 events had none: that of the message before
             index = np.searchsorted(places[order], offsets) - 1
-            times = timed_s[np.maximum(index, 0)] if timed_s.size else np.zeros(len(offsets))
+            times = stamps_s[np.maximum(index, 0)] if stamps_s.size else np.zeros(len(offsets))
         if name == 'PARM':
             _set(log, rows, times)
             continue
@@ -184,25 +184,25 @@ def _whole(
     end = offsets + lengths[data[offsets + 2]]
     inside = end <= len(data)
     offsets, end = offsets[inside], end[inside]
-    followed = np.isin(end, offsets, assume_unique=False) | (end == len(data))
-    accepted: list[NDArray[np.int64]] = []
-    runs = np.flatnonzero(np.diff(followed.astype(np.int8), prepend=0, append=0))
+    is_whole = np.isin(end, offsets, assume_unique=False) | (end == len(data))
+    valid: list[NDArray[np.int64]] = []
+    runs = np.flatnonzero(np.diff(is_whole.astype(np.int8), prepend=0, append=0))
     behind = 0
     for a, b in runs.reshape(-1, 2):  # all of these are followed by a message
         starts = offsets[a:b]
         if (starts[1:] < end[a : b - 1]).any() or starts[0] < behind:
             starts = _not_nested(starts, end[a:b], behind)
         if len(starts):
-            accepted.append(starts)
+            valid.append(starts)
             behind = int(starts[-1] + lengths[data[starts[-1] + 2]])
-    accepted_starts = np.concatenate(accepted) if accepted else np.zeros(0, dtype=np.int64)
-    more = [i for i in np.flatnonzero(~followed)
-            if _plausible(data, int(offsets[i]), offsets, accepted_starts, kinds)]
-    accepted_starts = np.sort(np.concatenate([accepted_starts, offsets[more]]).astype(np.int64))
-    numbers = data[accepted_starts + 2]
-    ends = accepted_starts + lengths[numbers]
-    gaps = np.diff(np.r_[0, np.column_stack([accepted_starts, ends]).ravel(), len(data)])[::2]
-    return accepted_starts, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
+    valid_starts = np.concatenate(valid) if valid else np.zeros(0, dtype=np.int64)
+    more = [i for i in np.flatnonzero(~is_whole)
+            if _plausible(data, int(offsets[i]), offsets, valid_starts, kinds)]
+    valid_starts = np.sort(np.concatenate([valid_starts, offsets[more]]).astype(np.int64))
+    numbers = data[valid_starts + 2]
+    ends = valid_starts + lengths[numbers]
+    gaps = np.diff(np.r_[0, np.column_stack([valid_starts, ends]).ravel(), len(data)])[::2]
+    return valid_starts, numbers, int(gaps.sum()), int(np.count_nonzero(gaps))
 
 
 def _not_nested(
@@ -218,7 +218,7 @@ def _not_nested(
 
 
 def _plausible(
-    data: NDArray[np.uint8], start: int, offsets: NDArray[np.int64], accepted: NDArray[np.int64],
+    data: NDArray[np.uint8], start: int, offsets: NDArray[np.int64], valid: NDArray[np.int64],
     kinds: Mapping[int, Kind],
 ) -> bool:
     """Whether a message that no other follows can be believed."""
@@ -226,15 +226,15 @@ def _plausible(
     stop = start + kind.length
     if np.searchsorted(offsets, stop) - np.searchsorted(offsets, start) > 1:
         return False
-    place = int(np.searchsorted(accepted, start))
-    if place and accepted[place - 1] + kinds[int(data[accepted[place - 1] + 2])].length > start:
+    place = int(np.searchsorted(valid, start))
+    if place and valid[place - 1] + kinds[int(data[valid[place - 1] + 2])].length > start:
         return False
     row = _unpacked(data, np.array([start]), kind)[0]
     numbers = [float(row[name]) for name, factor in
                zip(kind.dtype.names or (), kind.factors, strict=True)
                if factor and kind.dtype[name].kind == 'f']
     clock = next((name for name in TIMES if name in (kind.dtype.names or ())), None)
-    same = accepted[max(0, place - 50) : place + 50]
+    same = valid[max(0, place - 50) : place + 50]
     same = same[data[same + 2] == kind.number]
     if clock is None or not len(same) or not all(abs(x) < LARGEST for x in numbers):
         return False
@@ -263,9 +263,9 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
     clocks: dict[str, list[float]] = {}
     now = 0.0
     for line in lines:
-        described = TEXT_FMT.match(line)
-        if described:
-            labels[described[3]] = [label.strip() for label in described[5].split(',')]
+        definition = TEXT_FMT.match(line)
+        if definition:
+            labels[definition[3]] = [label.strip() for label in definition[5].split(',')]
             continue
         name, _, values = line.partition(',')
         name = name.strip()

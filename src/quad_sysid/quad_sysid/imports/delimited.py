@@ -67,13 +67,13 @@ class _Layout:
 
 
 def read_text_table(
-    lines: Iterable[str], source: str, wanted: Sequence[str] | None = None, first: int = 1
+    lines: Iterable[str], source: str, selected: Sequence[str] | None = None, first: int = 1
 ) -> Text:
     """Columns of a text with a header line; `#` starts a comment line, an empty cell is missing.
 
     Cells are separated by commas, tabs, semicolons (numbers may then have decimal commas) or
     spaces. Dates and times of day become seconds. A last line without its end was cut off and is
-    left out. `first` is the number of the first line; without `wanted`, cells without a number
+    left out. `first` is the number of the first line; without `selected`, cells without a number
     are missing, and columns without any are left out.
 
     Raises BadInputError for a missing column, text where a number should be, and a column without
@@ -81,14 +81,14 @@ def read_text_table(
     """
     text = _Lines(lines, first)
     numbered = iter(text)
-    looked = list(islice(numbered, 200))  # the lines that may hold the header
-    if not looked:
+    head = list(islice(numbered, 200))  # the lines that may hold the header
+    if not head:
         what = 'holds no complete row' if text.notes or text.comments else 'is empty'
         raise BadInputError(source, what, remedy='record it or copy it again')
-    layout = _layout(looked, text.comments, source)
+    layout = _layout(head, text.comments, source)
     where = f'{source}, line {layout.header_line}'
-    names = layout.names if wanted is None else [
-        layout.aliases.get(name, name) for name in wanted]
+    names = layout.names if selected is None else [
+        layout.aliases.get(name, name) for name in selected]
     absent = [name for name in names if name not in layout.names]
     if absent:
         raise no_column(where, absent, layout.names)
@@ -96,9 +96,9 @@ def read_text_table(
     blocks: list[FloatArray] = []
     row_numbers: list[NDArray[np.int64]] = []
     complete = 0
-    for numbers, rows in _rows(chain(looked[layout.begin :], numbered), layout.split):
+    for numbers, rows in _rows(chain(head[layout.begin :], numbered), layout.split):
         complete += sum(_as_wide(cells, len(layout.names)) for cells in rows)
-        blocks.append(_block(rows, numbers, places, None if wanted is None else names, source))
+        blocks.append(_block(rows, numbers, places, None if selected is None else names, source))
         row_numbers.append(numbers)
     if not blocks:
         raise BadInputError(source, 'has a header but no rows', remedy='give recorded data')
@@ -106,9 +106,9 @@ def read_text_table(
     columns = {}
     for i, name in enumerate(names):  # column by column, each freed in its block
         columns[name] = np.concatenate([block[i] for block in blocks])
-    if wanted is None:
+    if selected is None:
         _check_table(columns, complete, row_index.size, source)
-    for name in wanted or ():
+    for name in selected or ():
         if not np.isfinite(columns[layout.aliases.get(name, name)]).any():
             raise BadInputError(f'{source}, line {row_index[0]}, column {name}', 'holds no number')
     return Text({n: c for n, c in columns.items() if np.isfinite(c).any()}, row_index,
@@ -151,51 +151,51 @@ class _Lines:
 
 
 def _layout(
-    looked: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], source: str
+    head: Sequence[tuple[int, str]], comments: Sequence[tuple[int, str]], source: str
 ) -> _Layout:
     """The header: the first line of names with a row of as many cells, mostly numbers, behind it.
 
     A row of units may lie between. Without such a line, the first one.
     """
-    if _is_row(cells := _split_one(looked[0][1])) and any(map(_is_number, cells)):
+    if _is_row(cells := _split_one(head[0][1])) and any(map(_is_number, cells)):
         if comments and len(_split_one(comments[-1][1])) == len(cells):
-            layout = _named([comments[-1], *looked], 0)
+            layout = _named([comments[-1], *head], 0)
             layout.begin -= 1  # among the lines that are no comments
             return layout
         if all(_is_number(cell) or not cell for cell in cells):
-            raise BadInputError(f'{source}, line {looked[0][0]}',
+            raise BadInputError(f'{source}, line {head[0][0]}',
                                 "holds numbers, not the columns' names",
                                 remedy='put a header line before it')
-    for i in range(len(looked) - 1):
-        cells = _split_one(looked[i][1])
+    for i in range(len(head) - 1):
+        cells = _split_one(head[i][1])
         if len(cells) < 2 or any(map(_is_number, cells)):
             continue
         for rows in (1, 2):
-            if i + rows < len(looked):
-                row = next(_splitter(looked[i][1])([looked[i + rows][1]]))
+            if i + rows < len(head):
+                row = next(_splitter(head[i][1])([head[i + rows][1]]))
                 if _as_wide(row, len(cells)) and _is_row(row):
-                    return _named(looked, i)
-    return _named(looked, 0)
+                    return _named(head, i)
+    return _named(head, 0)
 
 
-def _named(looked: Sequence[tuple[int, str]], header: int) -> _Layout:
+def _named(head: Sequence[tuple[int, str]], header: int) -> _Layout:
     """The layout with the names of the columns, each once."""
-    number, line = looked[header]
+    number, line = head[header]
     split = _splitter(line)
     names = [name.strip() for name in next(split([line]))]
     while names and not names[-1]:
         names.pop()
     layout = _Layout(split, [name or f'column {i + 1}' for i, name in enumerate(names)],
                      number, header + 1)
-    if header and number > looked[0][0]:
+    if header and number > head[0][0]:
         layout.notes.append(f'{header} lines before the header left out')
     _number_repeated(layout)
-    units = next(split([looked[header + 1][1]]), []) if header + 1 < len(looked) else []
-    if (_as_wide(units, len(names)) and header + 2 < len(looked) and not _is_row(units)
-            and _is_row(next(split([looked[header + 2][1]])))
+    units = next(split([head[header + 1][1]]), []) if header + 1 < len(head) else []
+    if (_as_wide(units, len(names)) and header + 2 < len(head) and not _is_row(units)
+            and _is_row(next(split([head[header + 2][1]])))
             and any(written(unit.strip(' ()[]')) in WRITTEN.values() for unit in units)):
         layout.begin += 1
-        layout.notes.append(f'line {looked[header + 1][0]} holds units, not numbers')
+        layout.notes.append(f'line {head[header + 1][0]} holds units, not numbers')
         for i, unit in enumerate(units[: len(names)]):
             bare = unit.strip(' ()[]')
             if written(bare) in WRITTEN.values() and header_unit(layout.names[i]) is None:
@@ -211,13 +211,13 @@ def _number_repeated(layout: _Layout) -> None:
         if times == 1:
             continue
         places = [i for i, other in enumerate(layout.names) if other == name]
-        fresh = [f'{name}[{k}]' for k in range(times)]
-        if set(fresh) & set(layout.names):
-            fresh = [f'{name} #{k + 1}' for k in range(times)]
-        for place, new in zip(places, fresh, strict=True):
+        new_names = [f'{name}[{k}]' for k in range(times)]
+        if set(new_names) & set(layout.names):
+            new_names = [f'{name} #{k + 1}' for k in range(times)]
+        for place, new in zip(places, new_names, strict=True):
             layout.names[place] = new
         layout.notes.append(f'{times} columns are called {name}: they are named '
-                            f'{", ".join(fresh)} in their order')
+                            f'{", ".join(new_names)} in their order')
 
 
 def _splitter(header: str) -> Callable[[Iterable[str]], Iterator[list[str]]]:

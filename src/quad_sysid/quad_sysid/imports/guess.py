@@ -70,9 +70,9 @@ def _named(*parts: str) -> re.Pattern[str]:
 
 TIME = _named('t', 'time', 'stamp', 'sec', 'secs', 'seconds', 'tick', 'ticks', 'usec', 'micros',
               'millis', 'msec', 'ms', 'us', 'clock', 'epoch')
-WANTED = _named(r'\bset ?p', 'sp', r'\bdes', 'ref', 'reference', 'target', 'goal', 'cmd',
-                'command', 'commanded', 'wanted')
-WANTED_RAW = re.compile(r'(?<![A-Za-z])(?:\w*)(?<![A-Z])_d$')
+SETPOINT = _named(r'\bset ?p', 'sp', r'\bdes', 'ref', 'reference', 'target', 'goal', 'cmd',
+                  'command', 'commanded', 'wanted')
+SETPOINT_SUFFIX = re.compile(r'(?<![A-Za-z])(?:\w*)(?<![A-Z])_d$')
 RATE = _named('gyro', 'gyr', 'rate', 'rates', 'omega', r'\bang (ular )?vel', r'\bangular velocity',
               'angvel', r'\bang(ular)? speed', 'p', 'q', 'r', r'\b[gw] ?[xyz]\b',
               r'(rad|deg|°) / s', 'dps', 'pqr', r'\bbody vel')
@@ -214,13 +214,13 @@ def guess(table: Table, time: str | None = None) -> Guess:  # noqa: C901 - optio
     forces = _triples([n for n in free if not NO_FORCE.search(spaced(n))], FORCE)
     if forces := [triple for triple in forces if all(triple) and _has_weight(table, triple)]:
         take('acceleration', forces[0])
-    ordered = {option: columns[option] for option in OPTIONS if option in columns}
+    sorted_columns = {option: columns[option] for option in OPTIONS if option in columns}
     units = {
-        name: unit for option, names in ordered.items()
+        name: unit for option, names in sorted_columns.items()
         for name, unit in zip(filter(None, names), likely_units(table, option, names), strict=True)
         if unit and header_unit(name, OPTIONS[option].role) != unit
     }
-    return Guess(ordered, _importable(columns), units, bool(time or table.times))
+    return Guess(sorted_columns, _importable(columns), units, bool(time or table.times))
 
 
 def _has_weight(table: Table, triple: Triple) -> bool:
@@ -247,12 +247,12 @@ def _widest(triples: Sequence[Triple], axes: Sequence[str]) -> Triple | None:
 def _fits(option: str, name: str) -> bool:
     """Whether a column of this name may be what the option asks for."""
     words = spaced(name)
-    wanted = bool(WANTED.search(words) or WANTED_RAW.search(name))
+    is_setpoint = bool(SETPOINT.search(words) or SETPOINT_SUFFIX.search(name))
     if OPTIONS[option].role == 'angle' and RATE.search(words) and 'angle' not in words:
         return False
     if option in ('rate', 'angle') and TURNING.search(words):
         return False
-    return option == 'control' or wanted == option.endswith('reference')
+    return option == 'control' or is_setpoint == option.endswith('reference')
 
 
 def _axes(triple: Sequence[str]) -> tuple[str, ...]:
@@ -261,7 +261,7 @@ def _axes(triple: Sequence[str]) -> tuple[str, ...]:
 
 def lines(table: Table, file: Path, out: Path | None = None) -> Iterator[str]:
     """The table of columns, and what to type: a command that was tried before it is printed."""
-    guessed, _, reason = _tried(table, file)
+    guessed, _, reason = _first_accepted(table, file)
     (time,) = guessed.columns.get('time', (None,))
     factor = unit_of('time', guessed.units.get(str(time)), str(time)).factor
     rows, rates = [], []
@@ -305,7 +305,7 @@ def lines(table: Table, file: Path, out: Path | None = None) -> Iterator[str]:
 
 def described(table: Table, file: Path) -> dict[str, Any]:
     """The columns with their guesses, and what may be chosen instead, for a page's menus."""
-    guessed, _, reason = _tried(table, file)
+    guessed, _, reason = _first_accepted(table, file)
     roles = {name: f'{option}, {AXES[k]}' if OPTIONS[option].per_axis else
              f'motor {k + 1}' if option == 'motors' else option
              for option, names in guessed.columns.items() if option != 'acceleration'
@@ -320,7 +320,7 @@ def described(table: Table, file: Path) -> dict[str, Any]:
     }
 
 
-def _tried(table: Table, file: Path) -> tuple[Guess, ForeignLog | None, str]:
+def _first_accepted(table: Table, file: Path) -> tuple[Guess, ForeignLog | None, str]:
     """The first guess that the import accepts, with its log; else the likeliest, and why not."""
     first, reason = None, ''
     for guessed in guesses(table):
@@ -411,7 +411,7 @@ def read_any(path: Path, log: int = 1, messages: Path | None = None) -> ForeignL
     if log_format is not None:
         return read_log(path, log_format, log, messages)
     check_single(path, 'a table', log)
-    _, read, reason = _tried(open_table(path, messages=messages), path)
+    _, read, reason = _first_accepted(open_table(path, messages=messages), path)
     if read is None:
         raise BadInputError(
             str(path), 'is a table whose columns cannot be guessed', reason or None,

@@ -34,7 +34,7 @@ TOPICS = {
     'rates_before': 'quad-sysid look', 'd_term': 'quad-sysid look',
 }
 """Topic of each stream of ForeignLog, or who alone reads it."""
-LACKING = {
+CONSEQUENCES = {
     'angles': 'no effects of the angle, no closed loop',
     'attitude_setpoint': 'no indirect approach, no closed loop',
     'rate_setpoint': 'the pictures lack the rate reference',
@@ -162,8 +162,8 @@ class Signal:
 
 def per_torque(units: Sequence[float]) -> str:
     """What `quad-tune export` asks for, from our command per unit of their torque, by axis."""
-    stated = ', '.join(f'{axis}={unit:.4g}' for axis, unit in zip(AXES, units, strict=True))
-    return f'--scale of quad-tune export, our command per unit of their torque: {stated}'
+    text = ', '.join(f'{axis}={unit:.4g}' for axis, unit in zip(AXES, units, strict=True))
+    return f'--scale of quad-tune export, our command per unit of their torque: {text}'
 
 
 def changes_of(
@@ -214,13 +214,13 @@ class Reading:
         """The log, with what it lacks of these channels; `more` are its other fields."""
         first = {signal.role: signal.columns[0].rpartition('.')[0] or signal.columns[0]
                  for signal in reversed(signals)}
-        lacking = [f'{first[role]}: {text}' for role, text in LACKING.items()
-                   if role in first and role not in self.streams]
+        consequences = [f'{first[role]}: {text}' for role, text in CONSEQUENCES.items()
+                        if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)
-        lacking += [] if more.get('gains') else [no_gains]
+        consequences += [] if more.get('gains') else [no_gains]
         return ForeignLog(self.table.source, kind, clock=self.table.notes,
                           **{'rates': None, **self.streams, **more},
-                          mapped=tuple(self.mapped), missing=tuple(lacking))
+                          mapped=tuple(self.mapped), missing=tuple(consequences))
 
     def motors_fast(self, motors: Stream | None, command: Stream | None) -> bool:
         """Whether the motors, instead of the controller's demand, are the input."""

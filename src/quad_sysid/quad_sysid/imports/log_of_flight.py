@@ -104,13 +104,13 @@ def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
     end_s = min(record.n * record.dt, live.n * live.dt - after_s) - LATE_S
     scale: FloatArray = np.ones(4)
     for i, axis in enumerate(AXES, 1):
-        begun, ended = (_factor(record, live, f'{axis}.rate.kp', at_s, after_s)
-                        for at_s in (max(0.0, -after_s), end_s))
-        if not math.isclose(begun, ended, rel_tol=SAME):
+        first, last = (_factor(record, live, f'{axis}.rate.kp', at_s, after_s)
+                       for at_s in (max(0.0, -after_s), end_s))
+        if not math.isclose(first, last, rel_tol=SAME):
             raise BadInputError(record.source, f'holds other gains of {axis} than the bag: their '
-                                f'ratio goes from {begun:.3g} to {ended:.3g}',
+                                f'ratio goes from {first:.3g} to {last:.3g}',
                                 remedy='leave the log out, or fly without changing them')
-        scale[i] = begun
+        scale[i] = first
     wrench = None if record.wrench is None else record.wrench * scale
     excitation = record.excitation
     if excitation is not None and any(s.injection == 'control' for s in record.segments):
@@ -121,7 +121,7 @@ def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
 
 def _factor(record: Record, live: Record, name: str, at_s: float, after_s: float) -> float:
     """A gain of the bag over the log's at a time of the log; 1 where one does not say it."""
-    ours, theirs = live.gains_at(at_s + after_s), record.gains_at(at_s)
-    if not (ours.get(name, 0.0) > 0.0 and theirs.get(name, 0.0) > 0.0):
+    of_bag, of_log = live.gains_at(at_s + after_s), record.gains_at(at_s)
+    if not (of_bag.get(name, 0.0) > 0.0 and of_log.get(name, 0.0) > 0.0):
         return 1.0
-    return ours[name] / theirs[name]
+    return of_bag[name] / of_log[name]

@@ -180,16 +180,16 @@ def check_extent(pairs: Sequence[tuple[Column, Column]]) -> list[str]:
              for _, angle in pairs]
     both = [column for pair in pairs for column in pair]
     if pairs and max(sizes) < CALM and all(c.unit.name == c.degrees for c in both):
-        said, other = f'{max(sizes) / DEGREE:.2g} deg only', [c.radians for c in both]
+        extent, other = f'{max(sizes) / DEGREE:.2g} deg only', [c.radians for c in both]
     elif pairs and max(sizes) > WILD and not any(
             c.named or c.unit.name == c.degrees for c in both):
-        said, other = f'{max(sizes):.2g} rad', [c.degrees for c in both]
+        extent, other = f'{max(sizes):.2g} rad', [c.degrees for c in both]
     else:
         return []
     names = ' and '.join(angle.name for _, angle in pairs)
     advice = ' '.join(c.advise(unit) for c, unit in zip(both, other, strict=True))
     unit = 'radians' if other[0].startswith('rad') else 'degrees'
-    return [f'{names} moves by {said}, and the rate agrees: if both are in {unit}, {advice}']
+    return [f'{names} moves by {extent}, and the rate agrees: if both are in {unit}, {advice}']
 
 
 def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, float] | None:
@@ -197,11 +197,11 @@ def turn_factor(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[float, 
 
     None where there is too little motion.
     """
-    turned, changed = _over_windows(rate, angle, dt)
-    if len(turned) < MIN_WINDOWS or not (np.ptp(turned) and np.ptp(changed)):
+    integrals, changed = _over_windows(rate, angle, dt)
+    if len(integrals) < MIN_WINDOWS or not (np.ptp(integrals) and np.ptp(changed)):
         return None
-    together = float(np.corrcoef(turned, changed)[0, 1])
-    return together, math.copysign(float(np.std(changed) / np.std(turned)), together)
+    together = float(np.corrcoef(integrals, changed)[0, 1])
+    return together, math.copysign(float(np.std(changed) / np.std(integrals)), together)
 
 
 def z_points_down(force: FloatArray) -> bool | None:
@@ -235,8 +235,8 @@ def check_reference(reference: Column, angle: Column) -> None:
         _refuse(reference, angle, factor)
 
 
-def _near(factor: float, *wanted: float) -> bool:
-    return any(abs(math.log(abs(factor) / value)) < NEAR for value in wanted)
+def _near(factor: float, *targets: float) -> bool:
+    return any(abs(math.log(abs(factor) / value)) < NEAR for value in targets)
 
 
 def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -247,19 +247,19 @@ def _over_windows(rate: FloatArray, angle: FloatArray, dt: float) -> tuple[Float
     width = max(2, round(WINDOW_S / dt))
     starts = np.arange(0, len(rate) - width, width)
     steps = np.abs(np.diff(angle))
-    turned = np.array([
+    integrals = np.array([
         dt * (np.sum(rate[i : i + width + 1]) - 0.5 * (rate[i] + rate[i + width])) for i in starts
     ])
     changed = angle[starts + width] - angle[starts]
     jumps = np.array([np.max(steps[i : i + width], initial=0.0) for i in starts])
-    is_finite = np.isfinite(turned) & np.isfinite(changed) & (jumps < 3.0)
-    return turned[is_finite], changed[is_finite]
+    is_finite = np.isfinite(integrals) & np.isfinite(changed) & (jumps < 3.0)
+    return integrals[is_finite], changed[is_finite]
 
 
 def _refuse(first: Column, angle: Column, factor: float) -> None:
     """Raise BadInputError where the factor, angle over first, can only be a wrong unit or sign."""
     if factor < 0.0 and _near(factor, 1.0):
-        ways: list[tuple[Column, str | float]] = [(c, -c.unit.factor) for c in (first, angle)]
+        fixes: list[tuple[Column, str | float]] = [(c, -c.unit.factor) for c in (first, angle)]
         remedy = 'one of them turns against forward-left-up'
     elif _near(factor, DEGREE**2, DEGREE**-2):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
@@ -268,15 +268,15 @@ def _refuse(first: Column, angle: Column, factor: float) -> None:
     elif _near(factor, DEGREE, 1.0 / DEGREE):
         large, small = (angle, first) if abs(factor) > 1.0 else (first, angle)
         degrees, radians = (large.degrees, small.radians) if factor > 0.0 else (-DEGREE, -1.0)
-        ways = [(large, degrees)] if large.unit.name != large.degrees else []
-        ways += [(small, radians)] if small.unit.name == small.degrees else []
-        ways = ways or [(first, first.unit.factor * factor)]
+        fixes = [(large, degrees)] if large.unit.name != large.degrees else []
+        fixes += [(small, radians)] if small.unit.name == small.degrees else []
+        fixes = fixes or [(first, first.unit.factor * factor)]
         remedy = 'name its unit'
     else:
         return
-    blamed = next((column for column, _ in ways if not column.named), ways[0][0])
+    blamed = next((column for column, _ in fixes if not column.named), fixes[0][0])
     raise _apart(blamed, first, angle, factor,
-                 f'{remedy}: {", or ".join(column.advise(unit) for column, unit in ways)}')
+                 f'{remedy}: {", or ".join(column.advise(unit) for column, unit in fixes)}')
 
 
 def _apart(blamed: Column, first: Column, angle: Column, factor: float,

@@ -68,7 +68,7 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
         reader.close()
 
 
-def _register(store: Any, folder: Path, needed: Collection[str]) -> None:
+def _register(store: Any, folder: Path, kinds: Collection[str]) -> None:
     """Add the definitions of a checkout's .msg files to a store."""
     from rosbags.typesys import get_types_from_msg
 
@@ -77,10 +77,10 @@ def _register(store: Any, folder: Path, needed: Collection[str]) -> None:
         raise BadInputError('--messages', 'holds no .msg files', str(folder),
                             'name a checkout of the package that defines the messages')
     there = {name.partition('/')[0] for name in store.fielddefs}
-    missing = [package for package in needed if package not in there]
+    missing = [package for package in kinds if package not in there]
     for file in files:
         package = _package(file, folder)
-        if package not in needed and len(missing) == 1:
+        if package not in kinds and len(missing) == 1:
             package = missing[0]  # a folder of another name, such as PX4's own msg
         name = f'{package}/msg/{file.stem}'
         if name in store.fielddefs:
@@ -95,9 +95,9 @@ def _register(store: Any, folder: Path, needed: Collection[str]) -> None:
 
 def _package(file: Path, folder: Path) -> str:
     for place in file.parents:
-        described = place / 'package.xml'
-        if described.is_file():
-            match = PACKAGE_NAME.search(described.read_text(encoding='utf-8', errors='replace'))
+        package = place / 'package.xml'
+        if package.is_file():
+            match = PACKAGE_NAME.search(package.read_text(encoding='utf-8', errors='replace'))
             if match:
                 return match[1]
         if place == folder:
@@ -171,15 +171,15 @@ def read_messages(
     return columns, times
 
 
-def of_one_aircraft(path: Path, pattern: re.Pattern[str], wanted: Collection[str],
+def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str],
                     messages: Path | None) -> tuple[Columns, Columns, tuple[str, ...]]:
-    """The wanted topics of the aircraft that has most of them, by its own names; what is left out.
+    """Topics `names` of the aircraft that has most of them, by its own names; what is left out.
 
     `pattern` finds in a topic its `place`, whose it is, and its name as `topic`, and may find a
     `way`: what an autopilot says (`out`) counts before what it hears (`in`).
     """
     topics = [topic for topic in topics_of(path)
-              if (match := pattern.match(f'{topic}.')) and match['topic'] in wanted]
+              if (match := pattern.match(f'{topic}.')) and match['topic'] in names]
     columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
     matches = [match for name in columns if (match := pattern.match(name))]
     places = [match['place'] for match in matches]

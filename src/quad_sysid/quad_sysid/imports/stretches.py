@@ -126,11 +126,11 @@ def _reasons(record: Record, edges: np.ndarray, size: int) -> list[str]:
                 out[i] = finite.std(axis=0)
         return out
 
-    moved, driven = spread(record.rates), spread(record.control[:, 1:])
+    rates_spread, driven = spread(record.rates), spread(record.control[:, 1:])
     flying = airborne(record.control[:, 0], record.dt)
     still = [
         (values <= STILL * np.quantile(values, USUAL, axis=0)).all(axis=1)
-        for values in (moved, driven)
+        for values in (rates_spread, driven)
     ]
     motors = record.motors
     out = []

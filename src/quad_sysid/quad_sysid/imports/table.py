@@ -37,7 +37,7 @@ from quad_sysid.imports.units import Unit
 LEAST = 20
 """Least length of a vector that is a recording."""
 SQLITE = b'SQLite format 3'
-PACKED: Mapping[bytes, Callable[..., Any]] = {
+OPENERS: Mapping[bytes, Callable[..., Any]] = {
     b'\x1f\x8b': gzip.open, b'\xfd7zXZ\0': lzma.open, b'BZh': bz2.open,
 }
 """By the first bytes of a packed file: what opens it unpacked."""
@@ -293,7 +293,7 @@ def text_lines(file: Path) -> Iterator[Iterator[str]]:
 def _opener(file: Path) -> Callable[..., Any]:
     with file.open('rb') as probe:
         first = probe.read(8)
-    return next((opener for magic, opener in PACKED.items() if first.startswith(magic)), open)
+    return next((opener for magic, opener in OPENERS.items() if first.startswith(magic)), open)
 
 
 @contextmanager
@@ -304,8 +304,8 @@ def plain(path: Path) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.stem
-        with _readable(path), opener(path, 'rb') as packed, copy.open('wb') as out:
-            shutil.copyfileobj(packed, out)
+        with _readable(path), opener(path, 'rb') as compressed, copy.open('wb') as out:
+            shutil.copyfileobj(compressed, out)
         yield copy
 
 
@@ -323,10 +323,10 @@ def _readable(file: Path) -> Iterator[None]:
 
 
 def read_csv(
-    lines: Iterable[str], source: str, wanted: Sequence[str] | None = None, first: int = 1
+    lines: Iterable[str], source: str, names: Sequence[str] | None = None, first: int = 1
 ) -> Table:
     """The table of a text, see delimited.py."""
-    read = read_text_table(lines, source, wanted, first)
+    read = read_text_table(lines, source, names, first)
     return Table(source, read.columns, lines=read.lines, notes=read.notes, aliases=read.aliases)
 
 

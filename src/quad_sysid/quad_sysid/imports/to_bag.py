@@ -98,8 +98,8 @@ def gains_of(
                          for name in values), 0.0)
     changes = [GainChange(change.time_s - start_s, {**gains, **off, **change.values})
                for change in log.gain_changes]
-    begun = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
-    return (*([GainChange(0.0, begun[-1])] if begun[-1] else []),
+    initial = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
+    return (*([GainChange(0.0, initial[-1])] if initial[-1] else []),
             *(change for change in changes if change.time_s > 0.0))
 
 
@@ -155,10 +155,11 @@ def record_of(
                     motors=motors, craft=craft, speeds=_speeds(log, grid, motors),
                     desaturation='clip' if motors is not None else 'none', angles=angles,
                     acceleration=clock.drawn_on(log.acceleration, grid.times),
-                    attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
-                    rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
+                    attitude_setpoint=clock.hold_if_any(log.attitude_setpoint, grid.times,
+                                                        grid.dt),
+                    rate_setpoint=clock.hold_if_any(log.rate_setpoint, grid.times, grid.dt),
                     battery_v=volts_on(log.battery, grid.times),
-                    **_moved(log, grid, angles, warnings),
+                    **_translation(log, grid, angles, warnings),
                     gains=gains_of(log, gains, float(grid.times[0])))
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
@@ -196,11 +197,11 @@ def _motion(
         notes.append(f'rates by {how}')
         return rates, angles
     if angles is not None and log.kind != 'a table':  # there they are refused
-        odd = contradicted(grid.values, angles, grid.dt)
+        contradictions = contradicted(grid.values, angles, grid.dt)
         moves = log.velocity is not None or log.position is not None
         left_out = ', and speed and position with them' if moves else ''
-        warnings += [f'{line}: the angles are left out{left_out}' for line in odd]
-        angles = None if odd else angles
+        warnings += [f'{line}: the angles are left out{left_out}' for line in contradictions]
+        angles = None if contradictions else angles
     return grid.values, angles
 
 
@@ -213,13 +214,13 @@ def _commands(
         if log.control is None:
             raise BadInputError(log.source, 'holds no commands',
                                 remedy='log the motors or the output of the controller')
-        control = _held(log, log.control, grid, notes)
+        control = _on_grid(log, log.control, grid, notes)
         patterns = commands_of(rates, control[:, 1:], grid.dt, angles)
         notes += [pattern.sentence for pattern in patterns]
         warnings += [*opposite(patterns, log.reversing),
                      *exchanged(patterns, rates, control[:, 1:], grid.dt)]
         return control, None, X
-    motors = _held(log, log.motors, grid, notes)
+    motors = _on_grid(log, log.motors, grid, notes)
     rates = np.where(airborne(motors.mean(axis=1), grid.dt)[:, None], rates, np.nan)
     patterns = patterns_of(rates, motors, grid.dt, angles)
     notes += [pattern.sentence for pattern in patterns]
@@ -268,7 +269,7 @@ def _by_motion(
     return mixer_of_patterns(certain, motors)
 
 
-def _held(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) -> FloatArray:
+def _on_grid(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) -> FloatArray:
     """(n, k) what the commands are in each cycle of the grid."""
     # slower ones are held, and the report says so
     is_fast = logged.rate_hz >= FAST_ENOUGH / grid.dt
@@ -289,8 +290,8 @@ def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatAr
     return joined(log.speeds.time_s, log.speeds.values, grid.times)
 
 
-def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None,
-           warnings: list[str]) -> dict[str, Any]:
+def _translation(log: ForeignLog, grid: Cycles, angles: FloatArray | None,
+                 warnings: list[str]) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
     velocity, position = log.velocity, log.position
     if velocity is None and position is not None and len(position.time_s) > 2:

@@ -311,15 +311,15 @@ def content(path: str | Path, log: int = 1, messages: Path | None = None) -> Con
 
     `log`: of several in a blackbox file; `messages`: a folder of .msg files.
     """
-    source, held = str(path), Topics((), (), ())
+    source, listing = str(path), Topics((), (), ())
     record: Record | None = None
     if is_bag(Path(path), head_of(Path(path))):
-        held = topics(Path(path))
+        listing = topics(Path(path))
         try:
             record = read_bag(path)
         except BadInputError as error:
             if format_of(Path(path)) is None:  # else of another autopilot
-                return Content(source, held, unusable=str(error), warnings=held.warnings)
+                return Content(source, listing, unusable=str(error), warnings=listing.warnings)
     if record is not None:
         check_single(Path(path), 'a bag', log)
     else:
@@ -329,17 +329,17 @@ def content(path: str | Path, log: int = 1, messages: Path | None = None) -> Con
             *read.checks, *doubts_of_it, *uneven(notes), *record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
-        return of_record(split_segments(record), held, split=not named)
+        return of_record(split_segments(record), listing, split=not named)
 
 
-def of_record(record: Record, held: Topics, *, split: bool) -> Content:
+def of_record(record: Record, listing: Topics, *, split: bool) -> Content:
     """Content of a record with its segments."""
     lost = np.asarray(np.isnan(record.rates).any(axis=1))
     gaps = finite_runs(lost, (0, record.n))
     warning = refusal(record)
     axes = tuple(_axis(record, axis) for axis in excited_axes([record]))
-    layout, odd = _layout(record)
-    return Content(record.source, held, sample_rate_hz=1.0 / record.dt,
+    layout, contradictions = _layout(record)
+    return Content(record.source, listing, sample_rate_hz=1.0 / record.dt,
                    length_s=record.n * record.dt, lost_pct=100.0 * float(np.mean(lost)),
                    longest_gap_s=max((b - a for a, b in gaps), default=0) * record.dt, split=split,
                    segments=record.segments, gains=tuple(sorted(record.gains_at(np.inf))),
@@ -350,7 +350,7 @@ def of_record(record: Record, held: Topics, *, split: bool) -> Content:
                    if record.motors is not None or record.craft != X else '',
                    rotors=rotors_of(record).lines,
                    warnings=tuple(dict.fromkeys(
-                       [*record.warnings, *((warning,) if warning else ()), *odd])))
+                       [*record.warnings, *((warning,) if warning else ()), *contradictions])))
 
 
 def described(craft: Craft) -> str:
@@ -368,11 +368,11 @@ def _layout(record: Record) -> tuple[tuple[Pattern, ...], list[str]]:
         return patterns, opposite(patterns, {})
     layout = confirmed(patterns_of(record.rates, record.motors, record.dt, record.angles),
                        record.rates, record.motors, record.dt)
-    craft, turned = record.craft, ' turns the wrong way'
+    craft, suffix = record.craft, ' turns the wrong way'
     faults = places(layout, craft)[1]
-    reversed_ = [fault.removesuffix(turned) for fault in faults if fault.endswith(turned)]
+    reversed_ = [fault.removesuffix(suffix) for fault in faults if fault.endswith(suffix)]
     if len(reversed_) > 1:
-        faults = [fault for fault in faults if not fault.endswith(turned)]
+        faults = [fault for fault in faults if not fault.endswith(suffix)]
         faults.append(f'{", ".join(reversed_)} turn the wrong way')
     return layout, doubts(craft.name, craft.inverse, layout, record.rates, record.motors,
                           record.dt, record.angles) + faults

@@ -26,9 +26,9 @@ def lines(content: Content) -> list[str]:
         out += [*_axis(axis), '']
     out += ['usable for', *(line for use in content.uses for line in _use(use))]
     if content.warnings:
-        shown = content.warnings[:8]
-        more = len(content.warnings) - len(shown)
-        out += ['', 'warnings', *(line for text in shown for line in wrapped(text, '  '))]
+        first = content.warnings[:8]
+        more = len(content.warnings) - len(first)
+        out += ['', 'warnings', *(line for text in first for line in wrapped(text, '  '))]
         out += [f'  and {more} more (--json)'] if more else []
     return out
 
@@ -127,11 +127,11 @@ MIDDLE, REACH, DISC = 170.0, 112.0, 40.0
 SIGNS = {1: '+', -1: '−', 0: '0', None: '?'}
 
 
-def page(held: Content) -> str:
+def page(content: Content) -> str:
     """The page as text."""
-    title = f'What {PurePath(held.source).name} holds'
-    body = f'<pre class="scroll">{escape(chr(10).join(lines(held)))}</pre>'
-    return document(title, f'<h1>{escape(title)}</h1>', _motors(held.motors),
+    title = f'What {PurePath(content.source).name} holds'
+    body = f'<pre class="scroll">{escape(chr(10).join(lines(content)))}</pre>'
+    return document(title, f'<h1>{escape(title)}</h1>', _motors(content.motors),
                     f'<h2>In words</h2>{body}', mark=MARK)
 
 
@@ -139,7 +139,7 @@ def _motors(motors: tuple[MotorPlace, ...]) -> str:
     if not motors:
         return '<p>The motors are not recorded, so they are not drawn.</p>'
     rows = [[motor.name, motor.place, 'counter-clockwise' if motor.spin > 0 else 'clockwise',
-             *(_shown(motor, i) for i in range(len(AXES)))] for motor in motors]
+             *(_sign_words(motor, i) for i in range(len(AXES)))] for motor in motors]
     table = Table(['motor', 'is drawn at the', 'turns', *AXES], rows).html()
     return ('<h2>Motors</h2><div class="figures"><figure>' + _drawing(motors) + '<figcaption>Seen '
             'from above, the nose up; the arrow is the sense of the propeller. Below the number: '
@@ -148,7 +148,7 @@ def _motors(motors: tuple[MotorPlace, ...]) -> str:
             f'the order or the direction is wrong.</figcaption></figure></div>{table}')
 
 
-def _shown(place: MotorPlace, axis: int) -> str:
+def _sign_words(place: MotorPlace, axis: int) -> str:
     """The sign that the motion shows, and the one that the place asks for where that differs."""
     sign = SIGNS[place.shown[axis]]
     return f'{sign}, should be {SIGNS[place.expected[axis]]}' if _wrong(place, axis) else sign

@@ -29,7 +29,7 @@ LEAST_TRACKED_S = 2.0
 UNRELATED = 0.9
 """Share of the squares of set-point and rate that their difference has, whatever the delay, where
 the rate does not follow: an axis held on a rig, whose set-point is its own noise fed back."""
-SEEN = 0.5
+LEAST_MEASURED = 0.5
 """Share of a signal's samples with which it counts as measured."""
 
 
@@ -324,8 +324,8 @@ def _motors(flown: Flown) -> tuple[MotorLook, ...]:
     for k, value in enumerate(mean):
         speed = None
         if flown.speeds is not None:
-            turned = flown.speeds[flown.flying, k]
-            speed = float(np.nanmean(turned)) if np.isfinite(turned).any() else None
+            own = flown.speeds[flown.flying, k]
+            speed = float(np.nanmean(own)) if np.isfinite(own).any() else None
         out.append(MotorLook(
             f'motor_{k + 1}', float(value),
             100.0 * float(value / mean.mean() - 1.0) if mean.mean() > 0.0 else 0.0,
@@ -348,7 +348,7 @@ def _motor_frames(flown: Flown) -> Frames | None:
 
 
 def _rotor_hz(flown: Flown) -> FloatArray | None:
-    if flown.speeds is None or np.isfinite(flown.speeds).mean() < SEEN:
+    if flown.speeds is None or np.isfinite(flown.speeds).mean() < LEAST_MEASURED:
         return None
     return np.asarray(np.nanmean(flown.speeds, axis=1) / (2.0 * np.pi))
 

@@ -13,7 +13,7 @@ import numpy as np
 from quad_sysid.bags import read_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import Cycles, cycles, drawn_on, held_on, hold
+from quad_sysid.imports.clock import Cycles, cycles, drawn_on, hold, hold_if_any
 from quad_sysid.imports.formats import check_single
 from quad_sysid.imports.guess import read_any
 from quad_sysid.imports.log import ForeignLog
@@ -34,7 +34,7 @@ SAME_GRID = 0.9
 """Share of the rates' rate from which the raw gyro is put on their grid."""
 MOST_TURNS = 200.0
 """Largest set-point of an angle, rad: some thirty turns of yaw."""
-LACKING = {
+CONSEQUENCES = {
     'rate_setpoint': 'rate set-point: no step response of the rate, no loop, no tracking error',
     'motors': 'motors: no balance, no limits', 'speeds': 'rotor speeds: no orders, no motor delay',
     'battery_v': 'battery', 'rates_before': 'gyro before its filters: their delay is by settings',
@@ -163,18 +163,18 @@ def of_log(log: ForeignLog) -> Flown:
 
 def _without_commands(log: ForeignLog, laid: Cycles, why: str) -> Flown:
     rates = laid.values if log.rates is not None else np.gradient(laid.values, laid.dt, axis=0)
-    held = partial(held_on, times=laid.times, dt=laid.dt)
-    motors = held(log.motors)
+    resample = partial(hold_if_any, times=laid.times, dt=laid.dt)
+    motors = resample(log.motors)
     throttle = None if motors is None else motors.mean(axis=1)
     flying = np.ones(len(rates), bool) if throttle is None or not np.isfinite(throttle).any() \
         else airborne(throttle, laid.dt)
-    angles, setpoint = drawn_on(log.angles, laid.times), held(log.attitude_setpoint)
+    angles, setpoint = drawn_on(log.angles, laid.times), resample(log.attitude_setpoint)
     if setpoint is not None:
         setpoint = unwrapped(setpoint, None if angles is None else angles[:, 2])
     return Flown(
         source=log.source, kind=log.kind, dt=laid.dt, rates=rates, flying=flying,
         axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
-        rate_setpoint=held(log.rate_setpoint), attitude_setpoint=setpoint,
+        rate_setpoint=resample(log.rate_setpoint), attitude_setpoint=setpoint,
         angles=angles, battery_v=volts_on(log.battery, laid.times),
         gains=gains_of(log, log.gains, float(laid.times[0])),
         warnings=(f'it cannot be identified: {why}',))
@@ -201,7 +201,7 @@ def _complete(flown: Flown) -> Flown:
     if not flown.axes:
         raise BadInputError(flown.source, 'shows no axis that turns',
                             remedy='give the log of a flight')
-    lacks = [text for name, text in LACKING.items()
+    lacks = [text for name, text in CONSEQUENCES.items()
              if getattr(flown, name) is None or (name == 'gains' and not flown.gains)]
     return replace(flown, lacks=tuple(lacks))
 

@@ -23,7 +23,7 @@ from quad_sysid.pipeline.constants import COHERENT
 
 FRAME_S = 2.0
 """Half a hertz between lines, as slow as a pilot steers."""
-FEWEST = 8
+MIN_WINDOWS = 8
 """Frames from which a response is stated."""
 LEAST_POWER = 1e-4
 """A line counts where the set-point has this share of its largest density."""
@@ -31,7 +31,7 @@ REFERENCE_HZ = 10.0
 """Frequency at which delays are stated where no crossover was measured."""
 NEAR = 0.35
 """Distance of frequencies, in logarithms, whose phases give the delay at one."""
-FEWEST_LINES = 3
+MIN_LINES = 3
 """Lines in a row that make a band; as many may lack in it."""
 
 
@@ -98,7 +98,7 @@ def spectra(r: FloatArray, u: FloatArray, y: FloatArray, usable: npt.NDArray[np.
     """Spectra over Hann windows, half overlapping, where all is good; None with too few."""
     size = round(FRAME_S / dt)
     starts = starts_of(usable & np.isfinite(r) & np.isfinite(y) & np.isfinite(u), size)
-    if len(starts) < FEWEST:
+    if len(starts) < MIN_WINDOWS:
         return None
     window, cut = np.hanning(size + 1)[:size], starts[:, None] + np.arange(size)
     fr, fu, fy = (np.fft.rfft((x[cut] - x[cut].mean(axis=1, keepdims=True)) * window, axis=1)
@@ -127,8 +127,8 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
     excited = np.zeros(1, bool) if len(f) < 2 else \
         measured.rr >= LEAST_POWER * measured.rr[1:].max()
     used = (coherence >= COHERENT) & excited & (f > 0.0)
-    used &= np.cumsum(~used & (f > 0.0) & (f > f[np.argmax(used)])) <= FEWEST_LINES
-    if used.sum() < FEWEST_LINES:
+    used &= np.cumsum(~used & (f > 0.0) & (f > f[np.argmax(used)])) <= MIN_LINES
+    if used.sum() < MIN_LINES:
         return None
     f, tracking = f[used], (measured.yr[used] / measured.rr[used])
     level = np.abs(tracking)
@@ -137,7 +137,7 @@ def loop_response(measured: Spectra, dt: float, gains: Mapping[str, float],
               'bandwidth_hz': _bandwidth(f, level),
               'peak': float(level[peak]), 'peak_hz': float(f[peak])}
     driven = measured.coherence(measured.ur, measured.uu)[used] >= COHERENT
-    if driven.sum() < FEWEST_LINES:
+    if driven.sum() < MIN_LINES:
         return LoopResponse(**common)
     plant = np.where(driven, measured.yr[used] / np.where(driven, measured.ur[used], 1.0), np.nan)
     controller = feedback(gains, axis, f, dt)
@@ -170,7 +170,7 @@ def _bandwidth(f: FloatArray, level: FloatArray) -> float:
     1 / level² over f², as a slow loop has fallen there already. NaN where the level never falls,
     or falls among these lines.
     """
-    lowest, inverse = f[:FEWEST_LINES], level[:FEWEST_LINES]**-2.0
+    lowest, inverse = f[:MIN_LINES], level[:MIN_LINES]**-2.0
     at_rest = float(np.polyfit(lowest**2, inverse, 1)[1] if lowest[-1] > 2.5 * lowest[0] else
                     np.median(inverse))
     if not at_rest > 0.0:
@@ -179,7 +179,7 @@ def _bandwidth(f: FloatArray, level: FloatArray) -> float:
     if not level.max() >= least:
         return float('nan')
     last = int(np.flatnonzero(level >= least)[-1])
-    if not FEWEST_LINES <= last + 1 < len(level):
+    if not MIN_LINES <= last + 1 < len(level):
         return float('nan')
     above, below = np.log(level[last] / least), np.log(least / level[last + 1])
     return float(f[last] * (f[last + 1] / f[last])**(above / (above + below)))
@@ -268,7 +268,7 @@ def plant_delay(loop: LoopResponse, at_hz: float) -> float | None:
         return None
     is_finite = np.isfinite(loop.plant)
     f = loop.frequency_hz[is_finite]
-    if len(f) < FEWEST_LINES or not f[0] <= at_hz <= f[-1]:
+    if len(f) < MIN_LINES or not f[0] <= at_hz <= f[-1]:
         return None
     return _delay_at(f, loop.plant[is_finite] * 1j * f, at_hz)
 
@@ -280,7 +280,7 @@ def _delay_at(frequency_hz: FloatArray, response: ComplexArray, at_hz: float) ->
     since a long delay turns it more than once before.
     """
     near = np.abs(np.log(frequency_hz / at_hz)) < NEAR
-    if near.sum() < FEWEST_LINES:
+    if near.sum() < MIN_LINES:
         return None
     fitted = np.polyfit(frequency_hz[near] - at_hz, np.unwrap(np.angle(response))[near], 2)
     return -float(fitted[2]) / (2.0 * np.pi * at_hz)

@@ -21,7 +21,7 @@ ORDERS = np.linspace(0.25, 4.25, 161)
 """Edges of the classes of frequency over rotor frequency."""
 PEAK, PEAKS = 3.0, 3
 """A peak is this factor above the median around it, in power; so many are stated."""
-FEWEST = 8
+MIN_WINDOWS = 8
 """Frames from which a peak is stated: the mean of fewer has some by chance."""
 AROUND_HZ = 30.0
 """Span whose median is the floor from which a peak stands out."""
@@ -92,7 +92,7 @@ class Frames:
 
     def peaks(self) -> tuple[Peak, ...]:
         """The largest peaks above what surrounds them."""
-        if len(self.density) < FEWEST:
+        if len(self.density) < MIN_WINDOWS:
             return ()
         line = float(self.frequency_hz[1])
         reach = max(3, round(AROUND_HZ / line))

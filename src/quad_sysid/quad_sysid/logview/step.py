@@ -36,7 +36,7 @@ RIDGE = 1e-6
 """Share of the mean power added where the noise is estimated without a prior."""
 COARSE = 50
 """Samples of the response with which the prior is sought, and the spread between windows."""
-FEWEST = 10
+MIN_WINDOWS = 10
 """Windows from which a response is stated."""
 LEAST_FIT, LEAST_END = 0.5, 0.3
 """Share of the output's variance that a response must explain, and of the step at which it must
@@ -151,12 +151,12 @@ def responses(setpoint: FloatArray, output: FloatArray, usable: npt.NDArray[np.b
     windows = _windows(runs, m, round(2.0 * loop.seconds / step))
     least = loop.classes[0][1]
     used = windows.largest >= least if windows is not None else np.zeros(0, bool)
-    if windows is None or used.sum() < FEWEST:
+    if windows is None or used.sum() < MIN_WINDOWS:
         return ()
     out = []
     for name, low, high in (('all', least, np.inf), *loop.classes):
         inside = (windows.largest >= low) & (windows.largest < high)
-        if inside.sum() < FEWEST or (name != 'all' and inside.sum() == used.sum()):
+        if inside.sum() < MIN_WINDOWS or (name != 'all' and inside.sum() == used.sum()):
             continue
         response = _response(windows, inside, step, loop.quantity, name)
         out += [response] if response is not None else []

@@ -89,8 +89,8 @@ def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
         text = f'{name} follows a step of its rate set-point {_figures(step)}'
     elif on_axis.tracking:
         error = on_axis.tracking[0]
-        text = (f'{name} is off its rate set-point by {DEG * error.error_rms:.3g} deg/s RMS of '
-                f'{DEG * error.setpoint_rms:.3g}; ' + (
+        text = (f'{name} deviates from its rate set-point by {DEG * error.error_rms:.3g} deg/s '
+                f'RMS (the set-point: {DEG * error.setpoint_rms:.3g} deg/s RMS); ' + (
                     'gaps come too often' if on_axis.broken else
                     'the set-point moves too little, or the rate follows it too loosely,')
                 + ' for a step response')

@@ -312,12 +312,12 @@ def frequency_grid(dt: float, points: int = 240, lowest_rad_s: float = 0.1,
     s = np.log(z[np.abs(z) > 1e-6]) / dt
     s = s[(s.imag > grid[0]) & (s.imag < grid[-1]) & (np.abs(s.real) < LIGHT * np.abs(s))]
     about = s.imag[:, None] + np.abs(s.real)[:, None] * ABOUT
-    order, kept = np.argsort(about, axis=None), [0.0]
+    order, chosen = np.argsort(about, axis=None), [0.0]
     near, widths = about.ravel()[order], np.abs(s.real).repeat(ABOUT.size)[order]
     for omega, width in zip(near, widths, strict=True):  # of resonances side by side a few do
-        if omega - kept[-1] > 0.1 * width and grid[0] < omega < grid[-1]:
-            kept.append(omega)
-    return np.union1d(grid, kept[1:])
+        if omega - chosen[-1] > 0.1 * width and grid[0] < omega < grid[-1]:
+            chosen.append(omega)
+    return np.union1d(grid, chosen[1:])
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 
 SETTLED_BAND = 0.05
 """Settled: remaining within this share of the step around the final value."""
-FEWEST = 10
+MIN_SAMPLES = 10
 """Samples of a response."""
 MIN_REACHED = 0.1
 """Share of the step: what settles lower has no rise time, and its overshoot is noise."""
@@ -60,8 +60,8 @@ def step_figures(response: npt.ArrayLike, dt: float) -> StepFigures:
     y = np.asarray(response, dtype=float)
     if y.ndim != 1 or not np.isfinite(y).all():
         raise BadInputError('figures', 'response must be (n,) and finite', y.shape)
-    if y.size < FEWEST:
-        raise BadInputError('step_figures', f'needs {FEWEST} samples or more', y.size)
+    if y.size < MIN_SAMPLES:
+        raise BadInputError('step_figures', f'needs {MIN_SAMPLES} samples or more', y.size)
     settled = float(np.mean(y[-max(2, y.size // 5) :]))
     nan = float('nan')
     if settled < MIN_REACHED:

@@ -53,32 +53,32 @@ def why_outside(acting: ActingEffect) -> str:
 
 
 def signals_at(
-    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: Any
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **signals: Any
 ) -> Signals:
     """Signals (n,) at these usual values, all but `moved` at rest, the effect's memory steady."""
     values = {'time': np.full(n, LATE_S), 'throttle': np.full(n, usual['throttle']),
               'battery_v': np.full(n, usual['battery']), 'sent': np.zeros(n)}
-    s = Signals.at_rest(**(values | moved))
+    s = Signals.at_rest(**(values | signals))
     return s if not acting.effect.states else s.replaced(
         hidden=acting.effect.steady(s, acting.p, acting.part.settings))
 
 
 def torque_at(
-    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **moved: FloatArray
+    acting: ActingEffect, usual: Mapping[str, float], n: int = 1, **signals: FloatArray
 ) -> FloatArray:
     """(n,) acceleration by an effect, rad/s², there."""
-    s = signals_at(acting, usual, n, **moved)
+    s = signals_at(acting, usual, n, **signals)
     torque = acting.effect.torque(s, acting.p, acting.part.settings)
     return np.zeros(n) if torque is None else np.broadcast_to(torque, (n,))
 
 
 def _factor(
-    acting: ActingEffect, usual: Mapping[str, float], **moved: FloatArray
+    acting: ActingEffect, usual: Mapping[str, float], **signals: FloatArray
 ) -> FloatArray:
     """Factor on the drive in small motion."""
-    n = max((x.size for x in moved.values()), default=1)
-    with_drive = torque_at(acting, usual, n, drive=np.ones(n), **moved)
-    out: FloatArray = 1.0 + with_drive - torque_at(acting, usual, n, **moved)
+    n = max((x.size for x in signals.values()), default=1)
+    with_drive = torque_at(acting, usual, n, drive=np.ones(n), **signals)
+    out: FloatArray = 1.0 + with_drive - torque_at(acting, usual, n, **signals)
     return out
 
 
@@ -158,11 +158,11 @@ def behind_lean(model: AxisModel, inner: AxisModel) -> AxisModel:
     response = loops_of([(plant, plant.trial.wide)]).response(omega)
     answer = reference_response(gains, response, omega, inner.dt)[0]
 
-    def missed(p: FloatArray) -> FloatArray:
+    def error(p: FloatArray) -> FloatArray:
         approximation = np.exp(-1j * omega * p[1]) / (1.0 + 1j * omega * p[0])
         return np.concatenate([(approximation - answer).real, (approximation - answer).imag])
 
-    lag, delay = least_squares(missed, [0.2, 0.05], bounds=(0.0, 2.0)).x
+    lag, delay = least_squares(error, [0.2, 0.05], bounds=(0.0, 2.0)).x
     added = {'lag': lag - model.value('lag'), 'delay': delay + model.value('lag')}
     return replace(model, base=tuple(
         replace(parameter, value=parameter.value + added.get(parameter.name, 0.0))
@@ -199,7 +199,7 @@ def _about_trim(flying: Flying) -> Flying:
     plant, trim = flying.plant, 0.0
     gain, out = float(plant.p[0]), flying
     for _ in range(4 if plant.structure.parts else 1):
-        trim -= out.held / gain if gain else 0.0
+        trim -= out.rest_acceleration / gain if gain else 0.0
         structure = replace(plant.structure, parts=(Part(Trim(trim)), *plant.structure.parts))
         out = replace(flying, plant=replace(plant, structure=structure))
     return out
@@ -261,17 +261,17 @@ def share_outside(model: AxisModel) -> dict[str, float]:
         acting = acting_effect(model, effect)
         if why_outside(acting) != OTHER_AXES or not gain * command > 0.0:
             continue
-        moved: dict[str, Any] = {}
+        extremes: dict[str, Any] = {}
         for name, field in (('other rate', 'other_rates'), ('other angle', 'other_angles'),
                             ('other command', 'other_commands')):
             ends = [np.array(model.ranges.get(f'{name} {i}', (0.0, 0.0))) for i in (1, 2)]
-            moved[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
+            extremes[field] = tuple(np.meshgrid(*ends)[i].ravel() for i in (0, 1))
         rate = np.repeat(np.abs(model.ranges.get('rate', (0.0, 0.0))).max(), 4)
-        s = signals_at(acting, usual, 4, rate=rate, drive=np.repeat(gain * command, 4), **moved)
-        pushed = acting.effect.torque(s, acting.p, acting.part.settings)
-        if pushed is None:
-            pushed = gain * acting.effect.command(s, acting.p, acting.part.settings)
-        share = float(np.abs(pushed).max() / (gain * command))
+        s = signals_at(acting, usual, 4, rate=rate, drive=np.repeat(gain * command, 4), **extremes)
+        acceleration = acting.effect.torque(s, acting.p, acting.part.settings)
+        if acceleration is None:
+            acceleration = gain * acting.effect.command(s, acting.p, acting.part.settings)
+        share = float(np.abs(acceleration).max() / (gain * command))
         out[effect.name] = max(share, out.get(effect.name, 0.0))
     return out
 
@@ -287,11 +287,11 @@ def response_of(model: AxisModel, w: FloatArray, amplitude: Level) -> FrequencyR
     shared = [] if of is None else [i for i, name in enumerate(names) if np.isfinite(of[i, i])
                                     and name in {p.name for p in model.base}]
     steps = [] if of is None else [NUDGE * math.sqrt(of[i, i]) or 1e-9 for i in shared]
-    moved = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
-                                       for p in model.base))
-             for i, by in zip(shared, steps, strict=True)]
+    models = [replace(model, base=tuple(replace(p, value=p.value + by * (p.name == names[i]))
+                                        for p in model.base))
+              for i, by in zip(shared, steps, strict=True)]
     here, *near = loops_of([(loop_plant(candidate), amplitude)
-                            for candidate in (model, *moved)]).response(w)[0]
+                            for candidate in (model, *models)]).response(w)[0]
     if of is None or not shared:
         return FrequencyResponse(w, here, None)
     gradient = (np.stack(near) - here) / np.array(steps)[:, None]

@@ -60,7 +60,7 @@ class Places(NamedTuple):
     """The first register of the state."""
     following: IntArray
     """(states,) registers of the state a cycle later."""
-    shown: IntArray
+    outputs: IntArray
     """(2,) measured rate and angle a cycle later."""
     commands: IntArray
     """(c,)."""
@@ -89,9 +89,9 @@ def filtered(memory: FloatArray, which: int, x: float, weight: float) -> float:
 def control(gains: Constants, memory: FloatArray, reference: float, angle: float, rate: float,
             added: float) -> tuple[float, float]:
     """One cycle of C1/C2: (rate reference, u). `added` is a rate excitation; memory (MEMORY,)."""
-    wanted = gains.angle_kp * (reference - angle)
-    wanted = min(max(wanted, -gains.rate_limit), gains.rate_limit) + added
-    target = filtered(memory, TARGET, wanted, gains.target_weight)
+    setpoint = gains.angle_kp * (reference - angle)
+    setpoint = min(max(setpoint, -gains.rate_limit), gains.rate_limit) + added
+    target = filtered(memory, TARGET, setpoint, gains.target_weight)
     error = filtered(memory, ERROR, target - rate, gains.error_weight)
     total = memory[INTEGRAL] + gains.rate_ki * error * gains.dt
     memory[INTEGRAL] = min(max(total, -gains.integrator_limit), gains.integrator_limit)
@@ -106,7 +106,7 @@ def control(gains: Constants, memory: FloatArray, reference: float, angle: float
     memory[LAST] = now
     u = gains.rate_kp * error + memory[INTEGRAL] - gains.rate_kd * memory[D_PART]
     u = filtered(memory, OUTPUT, u + gains.kff * target, gains.output_weight)
-    return wanted, min(max(u, -gains.output_limit), gains.output_limit)
+    return setpoint, min(max(u, -gains.output_limit), gains.output_limit)
 
 
 @kernel(GAINS, TABLE, TABLE, LINE, LINE, LINE)
@@ -144,7 +144,7 @@ def driven(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line
     """
     newest = (newest + line.shape[0] - 1) % line.shape[0]
     for i in range(r.shape[1]):
-        area0 = area1 = lagged = command = 0.0
+        area0 = area1 = filtered_command = command = 0.0
         for c in range(w.shape[0]):
             line[newest, c, i] = r[at.commands[c], i]
             w[c, i] = motor_step(
@@ -153,10 +153,10 @@ def driven(at: Places, row: FloatArray, factors: FloatArray, r: FloatArray, line
                 uneven(factors[i, c]), factors[i, c], r[at.when[2], i], dt, lags[i, c], own)
             area0 += row[i, c] * own[0]
             area1 += row[i, c] * own[1]
-            lagged += row[i, c] * own[2]
+            filtered_command += row[i, c] * own[2]
             command += row[i, c] * own[3]
         r[at.motors, i], r[at.motors + 1, i] = area0 * 2.0 / dt, area1 * 2.0 / dt
-        r[at.motors + 2, i], r[at.motors + 3, i] = lagged, command
+        r[at.motors + 2, i], r[at.motors + 3, i] = filtered_command, command
     return newest
 
 
@@ -183,20 +183,20 @@ def fly(gains: npt.NDArray[np.void], at: Places, code: IntArray, more: IntArray,
     """
     f, states, newest, own = r.shape[1], at.following.size, 0, np.zeros(4)
     memory, lags = np.zeros((f, MEMORY)), np.zeros((f, w.shape[0], 3, 3))
-    following, shown = np.empty((states, f)), np.empty((f, 2))
+    following, measured = np.empty((states, f)), np.empty((f, 2))
     for i in range(f):
-        shown[i, 0], shown[i, 1] = first[i, 0], first[i, 1]
+        measured[i, 0], measured[i, 1] = first[i, 0], first[i, 1]
         if gains[i].d_on_error == 0.0:
             memory[i, LAST] = first[i, 0]
             memory[i, NOTCH] = memory[i, NOTCH + 1] = (1.0 - gains[i].notch) * first[i, 0]
     for k in range(signals.shape[2]):
         for i in range(f):
-            rate = shown[i, 0] + signals[i, 1, k]
-            angle = shown[i, 1] + lead * rate
-            wanted, u = control(gains[i], memory[i], signals[i, 0, k], angle, rate,
-                                signals[i, 3, k])
+            rate = measured[i, 0] + signals[i, 1, k]
+            angle = measured[i, 1] + lead * rate
+            setpoint, u = control(gains[i], memory[i], signals[i, 0, k], angle, rate,
+                                  signals[i, 3, k])
             u += signals[i, 4, k]
-            out[i, 0, k], out[i, 1, k], out[i, 2, k], out[i, 3, k] = angle, rate, u, wanted
+            out[i, 0, k], out[i, 1, k], out[i, 2, k], out[i, 3, k] = angle, rate, u, setpoint
             for j in range(moving.size):
                 r[moving[j], i] = known[i, j, k]
             r[at.sent, i], r[at.push, i] = u, signals[i, 2, k]
@@ -210,7 +210,7 @@ def fly(gains: npt.NDArray[np.void], at: Places, code: IntArray, more: IntArray,
             for i in range(f):
                 r[at.state + j, i] = following[j, i]
         for i in range(f):
-            shown[i, 0], shown[i, 1] = r[at.shown[0], i], r[at.shown[1], i]
+            measured[i, 0], measured[i, 1] = r[at.outputs[0], i], r[at.outputs[1], i]
 
 
 @kernel(GAINS, LINE, LINE, LINE, TABLE, NUMBER)
@@ -230,8 +230,8 @@ def run_polynomial(gains: Constants, reference: FloatArray, a: FloatArray, b: Fl
         if k > 0:
             angle += 0.5 * gains.dt * (clean[k] + clean[k - 1])
         predicted = angle + lead * total
-        wanted, u = control(gains, memory, reference[k], predicted, total, 0.0)
-        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, total, u, wanted
+        setpoint, u = control(gains, memory, reference[k], predicted, total, 0.0)
+        out[0, k], out[1, k], out[2, k], out[3, k] = predicted, total, u, setpoint
 
 
 @kernel(types.complex128[:, ::1], LINE, TABLE)

@@ -37,7 +37,7 @@ class Linearised(Effect):
     def advance(self, x: FloatArray, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
         return self._all(s, x)[: self.states] + self.rest[:, None]
 
-    def given(self, s: Signals) -> FloatArray:
+    def outputs(self, s: Signals) -> FloatArray:
         """(outputs, …) what it gives."""
         return self._all(s, s.hidden if self.states else None)[self.states :]
 
@@ -51,7 +51,7 @@ class LinearTorque(Linearised):
         return np.stack([s.rate, required(s.angle), s.drive, s.change])
 
     def torque(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        return self.outputs(s)[0]
 
 
 class LinearMap(Linearised):
@@ -61,7 +61,7 @@ class LinearMap(Linearised):
         return required(s.sent)[None]
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return self.given(s)[0]
+        return self.outputs(s)[0]
 
 
 class Trim(Effect):
@@ -69,12 +69,12 @@ class Trim(Effect):
 
     name = 'trim'
 
-    def __init__(self, given: float) -> None:
-        """`given`: the command, normalised, or a lean in rad."""
-        self.given = given
+    def __init__(self, trim: float) -> None:
+        """`trim`: the command, normalised, or a lean in rad."""
+        self.trim = trim
 
     def command(self, s: Signals, p: FloatArray, settings: Settings) -> FloatArray:
-        return required(s.sent) + self.given
+        return required(s.sent) + self.trim
 
 
 class LinearChannels(Effect):

@@ -91,8 +91,8 @@ def _cycle(flying: Flying) -> tuple[FloatArray, FloatArray, FloatArray]:
         connected = (np.abs(inner).sum(axis=0) + np.abs(c).sum(axis=0)) > 0.0
         if connected.all():
             return a, b, c
-        kept = np.flatnonzero(connected)
-        a, b, c = a[np.ix_(kept, kept)], b[kept], c[:, kept]
+        states = np.flatnonzero(connected)
+        a, b, c = a[np.ix_(states, states)], b[states], c[:, states]
 
 
 def _many(around: Signals, n: int, sent: FloatArray) -> Signals:
@@ -118,7 +118,7 @@ def linear(flying: Flying, level: Level) -> Flying:
 
 def linear_part(flying: Flying) -> Flying:
     """The plant with only those effects that respond alike in small and in wide motion."""
-    plant, kept = flying.plant, []
+    plant, linear = flying.plant, []
     bare = replace(plant.structure, parts=())
     p = [plant.p[: len(bare.base)]]
     for part, where in plant.structure.effects():
@@ -128,9 +128,9 @@ def linear_part(flying: Flying) -> Flying:
         if still.a.shape == wide.a.shape and np.allclose(
                 still.a, wide.a, rtol=1e-3, atol=1e-6) and np.allclose(
                 still.b, wide.b, rtol=1e-3, atol=1e-6):  # else one of them has states that rest
-            kept.append(part)
+            linear.append(part)
             p.append(plant.p[where])
-    return replace(flying, plant=replace(plant, structure=replace(bare, parts=tuple(kept)),
+    return replace(flying, plant=replace(plant, structure=replace(bare, parts=tuple(linear)),
                                          p=np.concatenate(p)))
 
 
@@ -158,8 +158,8 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
     m, gain, dt, lag = effect.states, plant.p[0], plant.dt, float(plant.p[1])
     around = plant.with_own(flying.around)
 
-    def seen(rate: FloatArray, angle: FloatArray, drive: FloatArray,
-             change: FloatArray) -> Signals:
+    def signals_of(rate: FloatArray, angle: FloatArray, drive: FloatArray,
+                   change: FloatArray) -> Signals:
         """Where the command is that which moves the drive so."""
         command = drive + lag * change
         sent = command / gain
@@ -174,14 +174,14 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
 
     zero = np.zeros(1)
-    still = seen(zero, zero, zero, zero)
+    still = signals_of(zero, zero, zero, zero)
     steady = effect.steady(still, p, settings)[:, 0] if m else np.zeros(0)
     small = min(SMALL, level[2])
     rows = np.zeros((m + 1, m + 4))
     if m > FEW_STATES or isinstance(effect, Linear):
         steps = small * np.eye(m + 4)
         begin = after(steady[:, None], still)
-        rows = (after(steady[:, None] + steps[:m], seen(*steps[m:])) - begin) / small
+        rows = (after(steady[:, None] + steps[:m], signals_of(*steps[m:])) - begin) / small
     if m <= FEW_STATES:
         w, several = level[0] / level[1], bool(m)
         phases, tones = _tones(dt, w, several)
@@ -192,7 +192,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         drive = gain * level[2] * size * np.sin(inside * phases + 1.0).sum(axis=1)
         change = gain * level[2] * size * inside * w * (
             np.cos(inside * phases + 1.0) * tones).sum(axis=1)
-        s = seen(rate, angle, drive, change)
+        s = signals_of(rate, angle, drive, change)
         n = len(phases)
         x = np.zeros((0, n))
         if m:

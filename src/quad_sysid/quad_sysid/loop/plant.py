@@ -53,7 +53,7 @@ class Flying:
                                 steady=self.steady)
 
     @cached_property
-    def held(self) -> float:
+    def rest_acceleration(self) -> float:
         """The acceleration by which it turns from rest at angle 0 without a command, rad/s²."""
         x, push = self.begin(), 0.0
         for _ in range(4):

@@ -72,7 +72,7 @@ CHANNELS = ('commands', 'lag', 'ages', 'fraction')
 """What a law may change of a Drive from cycle to cycle."""
 
 
-class _Noted:
+class _Traceable:
     """An effect whose laws are noted, or called where they cannot be: on a value's branch, say."""
 
     def __init__(self, effect: Effect, listing: Listing) -> None:
@@ -80,9 +80,9 @@ class _Noted:
 
     def __getattr__(self, name: str) -> Any:
         own = getattr(self.effect, name)
-        return partial(self._noted, own) if name in LAWS else own
+        return partial(self._trace, own) if name in LAWS else own
 
-    def _noted(self, law: Callable[..., Any], *arguments: Any) -> Any:
+    def _trace(self, law: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return law(*arguments)
         except (Untraceable, TypeError, IndexError, ValueError):
@@ -91,13 +91,13 @@ class _Noted:
         tree = {'s': vars(s), 'first': tuple(
             vars(one) if isinstance(one, Drive) else one for one in first)}
 
-        def ready(seen: Any) -> Callable[[], Any]:
-            own = [Drive(**x) if isinstance(x, dict) else x for x in seen['first']]
-            signals = Signals(**seen['s'])
+        def ready(values: Any) -> Callable[[], Any]:
+            own = [Drive(**x) if isinstance(x, dict) else x for x in values['first']]
+            signals = Signals(**values['s'])
             return lambda: law(*own, signals, p, settings)
 
-        def made(seen: Any) -> Callable[[], Sequence[FloatArray]]:
-            call = ready(seen)
+        def made(values: Any) -> Callable[[], Sequence[FloatArray]]:
+            call = ready(values)
             return lambda: _arrays(call())
 
         with np.errstate(all='ignore'):
@@ -118,16 +118,16 @@ def _arrays(result: Any) -> list[FloatArray]:
 @lru_cache(maxsize=16)
 def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     """The operations of one cycle of a plant; `known`: which signals of OUTSIDE it has."""
-    given = Signals.at_rest(np.zeros(1), np.zeros(1))
-    one = replace(given, battery_v=np.zeros(1), sent=np.zeros(1))
+    still = Signals.at_rest(np.zeros(1), np.zeros(1))
+    one = replace(still, battery_v=np.zeros(1), sent=np.zeros(1))
     rest = plant.begin(plant.with_motors(one), np.zeros(1), np.zeros(1))
     listing = Listing()
 
     def with_notes(part: Part) -> Part:
-        return replace(part, effect=cast('Effect', _Noted(part.effect, listing)))
+        return replace(part, effect=cast('Effect', _Traceable(part.effect, listing)))
 
     own = plant.structure
-    noted = replace(plant, structure=replace(
+    traced = replace(plant, structure=replace(
         own, law=own.law and with_notes(own.law), parts=tuple(map(with_notes, own.parts))))
     fields = {
         name: None if not there else (listing.inputs(1), listing.inputs(1))
@@ -138,14 +138,14 @@ def program(plant: Plant, known: tuple[bool, ...]) -> Program:
     first = len(listing.start)
     turning, hidden = (alike(x, lambda one: listing.inputs(*one.shape))
                        for x in (rest.turning, rest.hidden))
-    s = plant.with_own(replace(given, **fields, sent=sent))  # type: ignore[arg-type]
+    s = plant.with_own(replace(still, **fields, sent=sent))  # type: ignore[arg-type]
     s = plant.with_motors(s)
-    drive, after = noted.send(hidden, s)
+    drive, after = traced.send(hidden, s)
     split = len(listing.code)
-    later = noted.turn(turning, s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
-                       plant.sensor.step)
+    later = traced.turn(turning, s, motors[:2], motors[2:], push,  # type: ignore[arg-type]
+                        plant.sensor.step)
     places = {
-        'following': (*later, *after), 'shown': plant.measured(later),
+        'following': (*later, *after), 'outputs': plant.measured(later),
         'commands': drive.commands, 'lag': drive.lag,
         'when': (*required(drive.ages), required(drive.fraction)),
     }
@@ -209,7 +209,7 @@ class Running:
         for do in self._behind:
             do()
         r[at.state : at.state + at.following.size] = r[at.following]
-        self.rate, self.angle = float(r[at.shown[0]]), float(r[at.shown[1]])
+        self.rate, self.angle = float(r[at.outputs[0]]), float(r[at.outputs[1]])
 
     def _operations(self, begin: int, end: int) -> list[Callable[[], Any]]:
         """The operations [begin, end): compiled code, and the laws in Python among it."""
@@ -289,20 +289,20 @@ def simulate_cascade(
     while len(starts) < flights:  # laws in Python fly the start itself
         starts.append(running(plants[0], initial_rate, initial_angle) if starts[0].calls
                       else starts[0])
-    alike: dict[Any, list[int]] = {}
+    groups: dict[Any, list[int]] = {}
     for i, now in enumerate(starts):
-        alike.setdefault(now.kind, []).append(i)
+        groups.setdefault(now.kind, []).append(i)
     out = np.empty((flights, 4, n))
-    for each in alike.values():
+    for each in groups.values():
         for first in range(0, len(each), TOGETHER):
             some = each[first : first + TOGETHER]
-            moved = np.stack([row[some] for row in rows], axis=1)
+            inputs = np.stack([row[some] for row in rows], axis=1)
             if starts[some[0]].calls:
-                for i, own in zip(some, moved, strict=True):
+                for i, own in zip(some, inputs, strict=True):
                     out[i] = _in_python(starts[i], sets[i], own, lead)
             else:
                 out[some] = _side_by_side([starts[i] for i in some], [sets[i] for i in some],
-                                          moved, lead)
+                                          inputs, lead)
     alone = all(signal.ndim == 1 for signal in signals) \
         and not any(isinstance(x, Sequence) for x in (flying, gains))
     return LoopResponse(*(out[0] if alone else out.transpose(1, 0, 2)))
@@ -330,16 +330,16 @@ def _in_python(now: Running, gains: CascadeGains, signals: FloatArray, lead: flo
     """(4, n) a flight cycle by cycle, where laws are called."""
     numbers, (_, n) = gains.constants(now.dt), signals.shape
     memory, out, rows = np.zeros((1, kernels.MEMORY)), np.zeros((4, n)), now.rows(n)
-    seen, inputs, u = np.zeros((2, 1)), np.zeros((1, 3)), np.zeros(1)
+    measured, inputs, u = np.zeros((2, 1)), np.zeros((1, 3)), np.zeros(1)
     if not gains.d_on_error:
         memory[:, kernels.LAST] = now.rate
         memory[:, kernels.NOTCH :] = (1.0 - numbers.notch) * now.rate
-    for k, (wanted, noise, push, at_rate, at_control) in enumerate(signals.T.tolist()):
+    for k, (reference, noise, push, at_rate, at_control) in enumerate(signals.T.tolist()):
         rate = now.rate + noise
         angle = now.angle + lead * rate
-        inputs[0], seen[:, 0] = (wanted, at_rate, at_control), (angle, rate)
-        kernels.control_each(numbers, memory, inputs, seen[0], seen[1], u)
-        aim = min(max(gains.angle_kp * (wanted - angle), -gains.rate_limit), gains.rate_limit)
+        inputs[0], measured[:, 0] = (reference, at_rate, at_control), (angle, rate)
+        kernels.control_each(numbers, memory, inputs, measured[0], measured[1], u)
+        aim = min(max(gains.angle_kp * (reference - angle), -gains.rate_limit), gains.rate_limit)
         out[:, k] = angle, rate, u[0], aim + at_rate
         now.registers[now.moving] = rows[:, k]
         now.step(float(u[0]), push)
@@ -370,7 +370,7 @@ def simulate_polynomial_cascade(
     return LoopResponse(*out)
 
 
-BELIEVED = 0.9
+LEAST_EXPLAINED = 0.9
 """Least share of the angle's steps that a lead must explain."""
 
 
@@ -391,7 +391,7 @@ def angle_lead_s(angle: FloatArray | None, rate: FloatArray, dt: float) -> float
     if not power > 0.0:
         return 0.0
     share = float(turn @ step) / power
-    left = step - share * turn
-    if float(left @ left) > (1.0 - BELIEVED) * float(step @ step):
+    residual = step - share * turn
+    if float(residual @ residual) > (1.0 - LEAST_EXPLAINED) * float(step @ step):
         return 0.0
     return (min(max(share, 0.0), 1.0) - 0.5) * dt

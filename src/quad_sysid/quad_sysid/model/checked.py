@@ -38,21 +38,21 @@ def checked(effects: object, where: str, library: Sequence[Effect] = ()) -> tupl
         raise BadInputError(where, 'must be a sequence of effects', type(effects).__name__,
                             'put it in brackets: (Mine(),)') from error
     known_as = {effect.label: effect for effect in library}
-    accepted: dict[str, Effect] = {}
+    by_label: dict[str, Effect] = {}
     for effect in listed:
         if not isinstance(effect, Effect):
             what = f'the class {effect.__name__}' if isinstance(effect, type) else repr(effect)
             raise BadInputError(where, 'must hold instances of quad_sysid.Effect', what,
                                 'such as Mine(); the built-in ones are in quad_sysid.EFFECTS')
         other = known_as.get(effect.label)
-        if effect.label in accepted or type(other or effect) is not type(effect):
+        if effect.label in by_label or type(other or effect) is not type(effect):
             raise BadInputError(where, 'two effects have one name', effect.label,
                                 'give yours a `name` of its own')
-        accepted[effect.label] = effect
+        by_label[effect.label] = effect
         if effect is not other:
             _check_fields(effect, f'{where}: {type(effect).__name__}')
             tried(effect, f'{where}: {type(effect).__name__}')
-    return tuple(accepted.values())
+    return tuple(by_label.values())
 
 
 def _check_fields(effect: Effect, where: str) -> None:

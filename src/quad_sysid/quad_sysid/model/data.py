@@ -32,12 +32,12 @@ SETTLE_S = 1.0
 window begins so long behind the start of a segment or a gap that ends one."""
 BRIDGED_S = 0.1
 """The filter runs on over shorter gaps, without the rate and with commands interpolated."""
-CAUGHT_UP_S = 0.2
+MOTORS_SETTLE_S = 0.2
 """Time behind a gap inside a segment until what the interpolated commands did to the motors has
 faded: four lags of slow ones."""
 LOST_S = 0.02
 """Longest time without a command that turns an aircraft by little: half of a motor's lag."""
-UNKNOWN_S = 0.75 * CAUGHT_UP_S
+UNKNOWN_S = 0.75 * MOTORS_SETTLE_S
 """Time behind it in which the motors may do what nobody knows; the filter settles in the rest."""
 SLOPE_S = 0.02
 """An acceleration is the slope of the rate over this time to either side."""
@@ -151,7 +151,8 @@ class AxisData:
         less than half of those of the contract's length: in a log that loses samples throughout,
         short gaps are none.
         """
-        settle, caught_up = (round(seconds / self.dt) for seconds in (SETTLE_S, CAUGHT_UP_S))
+        settle, motors_settle = (round(seconds / self.dt)
+                                 for seconds in (SETTLE_S, MOTORS_SETTLE_S))
 
         def inside(runs: Sequence[Span], length: int) -> list[int]:
             return [k for a, b in runs for k in range(a, b - length + 1, length)]
@@ -163,7 +164,7 @@ class AxisData:
         runs = [(a + settle, b) for a, b in whole]
         known = np.isfinite(self.rate) if self.lost is None else ~self.lost
         for parts in () if known.all() else (whole, spans):
-            intact = [(max(a + caught_up, start + settle), b) for start, stop in parts
+            intact = [(max(a + motors_settle, start + settle), b) for start, stop in parts
                       for a, b in finite_runs(known, (start, stop))]
             if 2 * len(inside(intact, usual)) >= len(inside(runs, usual)):
                 runs = intact
@@ -176,9 +177,9 @@ class AxisData:
             return errors
         out, rows = errors.copy(), np.arange(windows.length)
         for i in np.flatnonzero(known.any(axis=1) & ~known.all(axis=1)):
-            seen = rows[known[i]]
+            measured = rows[known[i]]
             for window in out.reshape(-1, *known.shape)[:, i]:
-                window[:] = np.interp(rows, seen, window[seen])
+                window[:] = np.interp(rows, measured, window[measured])
         return out
 
     @property
@@ -326,10 +327,10 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
     parts = [_prepare(record, axis) for record in records]
     if len({part['motors'].shape[1] for part in parts}) > 1:  # not known in one of them
         parts = [part | {'motors': part['motors'][:, :0]} for part in parts]
-    joined: dict[str, Any] = {
+    fields: dict[str, Any] = {
         key: np.concatenate([values[key] for values in parts]) for key in parts[0]
     }
-    is_finite = np.isfinite(joined['rate'])
+    is_finite = np.isfinite(fields['rate'])
     stops = itertools.accumulate(record.n for record in records)
     flights = tuple(itertools.pairwise([0, *stops]))
 
@@ -344,20 +345,20 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         ]
 
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
-        values = joined[name].reshape(is_finite.size, -1)
+        values = fields[name].reshape(is_finite.size, -1)
         covered = np.isfinite(values).all(axis=1).mean() > least
-        joined[name] = filled(joined[name]) if covered else None
+        fields[name] = filled(fields[name]) if covered else None
     units = {place for record in records for place in record.injected_at(axis)}
-    if len(units) > 1 or not np.isfinite(joined['reference']).any():
-        joined['reference'] = None
+    if len(units) > 1 or not np.isfinite(fields['reference']).any():
+        fields['reference'] = None
     for role in ('train', 'validation'):
-        joined[role] = tuple(span for span, _ in pieces(role))
+        fields[role] = tuple(span for span, _ in pieces(role))
     known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
     filters = [run for record in records for run in _filters(record, axis)]
     usual = next((hz for hz, _ in filters if hz is not None), None)
     cut_offs = [(hz or usual, count) for hz, count in filters]
     return AxisData(
-        axis=axis, dt=dt, **joined,
+        axis=axis, dt=dt, **fields,
         stretches=tuple(run for flight in flights
                         for run in bridged(finite_runs(is_finite, flight), dt)),
         gyro_filter_hz=usual,
@@ -395,22 +396,22 @@ def _prepare(record: Record, axis: str) -> dict[str, Any]:
         )
     missing, external = np.full(n, np.nan), record.external(axis)
     # rows from one known sample to the next, whatever rounding makes of a whole number of them
-    apart = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
-    beside = [_seen(record, name) for name in entry.others]
+    max_gap = (SHORT_GAP_S if entry.turns else SPEED_GAP_S) / record.dt + 1.0 + 1e-9
+    other_motion = [_rate_and_angle(record, name) for name in entry.others]
     return {
-        'rate': across_gaps(np.where(is_finite, rate, np.nan), apart),
+        'rate': across_gaps(np.where(is_finite, rate, np.nan), max_gap),
         'lost': ~is_finite, 'uncommanded': ~np.isfinite(control[:, entry.index + 1]),
         'angle': missing if motion.position is None else motion.position,
-        'other_angles': np.column_stack([position for _, position in beside]),
+        'other_angles': np.column_stack([position for _, position in other_motion]),
         'control': filled(control),
         'motors': filled(motors) if motors.shape[1] else motors,
-        'other_rates': across_gaps(np.column_stack([rate for rate, _ in beside]), apart),
+        'other_rates': across_gaps(np.column_stack([rate for rate, _ in other_motion]), max_gap),
         'battery_v': missing if record.battery_v is None else record.battery_v,
         'reference': missing if external is None else external,
     }
 
 
-def _seen(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
+def _rate_and_angle(record: Record, axis: str) -> tuple[FloatArray, FloatArray]:
     """(n,) rate and position of another axis; NaN where the record does not hold them."""
     missing = np.full(record.n, np.nan)
     try:
@@ -427,27 +428,27 @@ def where_commands_were_lost(data: AxisData, is_measured: NDArray[np.bool_],
     None if that were more than half: in a log that loses samples throughout. None where only the
     angle was measured, which says little of the rate in one cycle.
     """
-    caught, inside = np.zeros((2, is_measured.size), dtype=bool)
+    follows_gyro, inside = np.zeros((2, is_measured.size), dtype=bool)
     if data.uncommanded is None or data.derived_s is not None:
-        return caught
+        return follows_gyro
     for start, stop in passes:
         inside[start:stop] = is_measured[start:stop]
         for begin, end in finite_runs(data.uncommanded, (start, stop)):
             if end - begin > max(2, round(LOST_S / data.dt)):
-                caught[begin : end + round(UNKNOWN_S / data.dt)] = True
-    caught &= inside
-    return caught if 2 * caught.sum() <= inside.sum() else np.zeros_like(caught)
+                follows_gyro[begin : end + round(UNKNOWN_S / data.dt)] = True
+    follows_gyro &= inside
+    return follows_gyro if 2 * follows_gyro.sum() <= inside.sum() else np.zeros_like(follows_gyro)
 
 
 def bridged(runs: Sequence[Span], dt: float) -> list[Span]:
     """Runs joined over gaps of at most BRIDGED_S."""
-    joined: list[Span] = []
+    merged: list[Span] = []
     for start, stop in runs:
-        if joined and (start - joined[-1][1]) * dt <= BRIDGED_S:
-            joined[-1] = joined[-1][0], stop
+        if merged and (start - merged[-1][1]) * dt <= BRIDGED_S:
+            merged[-1] = merged[-1][0], stop
         else:
-            joined.append((start, stop))
-    return joined
+            merged.append((start, stop))
+    return merged
 
 
 def filled(values: FloatArray) -> FloatArray:

@@ -195,9 +195,9 @@ class Drive:
                        fraction=np.maximum(delay - cycles, 0.0))
 
     def __post_init__(self) -> None:
-        lacking = self.row.size - len(self.factors)
-        if lacking:
-            more = np.zeros((lacking, *self.factors.shape[1:]))
+        missing = self.row.size - len(self.factors)
+        if missing:
+            more = np.zeros((missing, *self.factors.shape[1:]))
             object.__setattr__(self, 'factors', np.concatenate([self.factors, more]))
 
 
@@ -320,9 +320,9 @@ class Effect:
         ]
         return [np.array(values) for values in itertools.product(*grid)]
 
-    def starts_by_residual(self, left: FitResidual, settings: Settings) -> Sequence[FloatArray]:
+    def starts_by_residual(self, fit: FitResidual, settings: Settings) -> Sequence[FloatArray]:
         """Start values where a fit leaves something, by default `starts`."""
-        return self.starts(left.data, settings)
+        return self.starts(fit.data, settings)
 
     def repeats_hz(self, p: FloatArray) -> float:
         """Frequency at which it repeats itself, Hz; 0: it does not.

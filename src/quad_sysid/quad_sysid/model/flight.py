@@ -96,10 +96,10 @@ def passes_of(data: AxisData, spans: Sequence[Span]) -> tuple[Span, ...]:
     is_measured = ~unmeasured(data)
     merged: list[list[int]] = []
     for start, stop in sorted(spans):
-        home = next(s for s in data.stretches if s[0] <= start < s[1])
-        begin = max(home[0], start - lead)
-        begin += int(np.argmax(is_measured[begin : home[1]]))
-        if merged and begin <= merged[-1][1] and merged[-1][0] >= home[0]:
+        around = next(s for s in data.stretches if s[0] <= start < s[1])
+        begin = max(around[0], start - lead)
+        begin += int(np.argmax(is_measured[begin : around[1]]))
+        if merged and begin <= merged[-1][1] and merged[-1][0] >= around[0]:
             merged[-1][1] = max(merged[-1][1], stop)
         else:
             merged.append([begin, stop])
@@ -123,7 +123,7 @@ class Flight:
     disturbances: FloatArray
     """(n, 2) acceleration of the other two axes that their bases do not explain, rad/s²; zero
     until discover.base.shares sets it."""
-    caught: NDArray[np.bool_]
+    follows_gyro: NDArray[np.bool_]
     """(n,) whether the filter takes the rate as measured: where commands were lost the motors do
     what nobody knows, which is no disturbance."""
     variance: float
@@ -131,14 +131,14 @@ class Flight:
 
     def __init__(self, data: AxisData, spans: Sequence[Span]) -> None:
         self.data, self.passes = data, passes_of(data, spans)
-        self.sensors = self.seen_through()
+        self.sensors = self.gyro_sensors()
         late, cut_offs = np.array([sensor.late_s for sensor in self.sensors]), data.gyro_filters_hz
         self.late = np.full(data.rate.size, late[0] if late.size else 0.0)
         for hz in () if cut_offs is None else np.unique(cut_offs):
             self.late[cut_offs == hz] = sensor_of(float(hz), data.derived_s, data.dt).late_s
         output = required(data.angle) / data.dt if self.sensor.derived else data.rate
         self.measured = np.where(unmeasured(data), np.nan, output)
-        self.caught = where_commands_were_lost(data, np.isfinite(self.measured), self.passes)
+        self.follows_gyro = where_commands_were_lost(data, np.isfinite(self.measured), self.passes)
         self.gyro = filled(data.rate)
         self.angle = None
         if data.angle is not None:
@@ -164,7 +164,7 @@ class Flight:
         smooth = np.full(SMOOTHED, 1.0 / SMOOTHED)
         self.rate = self._advanced(np.convolve(self.gyro, smooth, mode='same'))
 
-    def seen_through(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
+    def gyro_sensors(self, *, stepped: bool = False) -> tuple[Sensor, ...]:
         """The sensor of each pass, as its flight was flown."""
         data, cut_offs = self.data, self.data.gyro_filters_hz
         return tuple(
@@ -323,8 +323,8 @@ class Flight:
         out = np.empty((s.rate.size, theta.size))
         for j in set(range(theta.size)) - set(linear):
             shift = FINER * np.diag(steps)[j]
-            shifted = natural(effect.parameters, theta + shift)
-            after = effect.torque(self.hidden(part, s, shifted), shifted, settings)
+            perturbed = natural(effect.parameters, theta + shift)
+            after = effect.torque(self.hidden(part, s, perturbed), perturbed, settings)
             out[:, j] = (required(after) - torque) / shift[j]
         if linear:
             p[linear] = 0.0
@@ -341,8 +341,8 @@ class Flight:
         earlier, here, later = (self._advanced(self.data.rate, sign * reach)
                                 for sign in (-1.0, 0.0, 1.0))
         halves = self.driven(Structure(), p)[0]
-        explained = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
-        return (later - earlier) / (2.0 * reach * dt) - explained
+        modelled = p[0] * 0.5 * (halves[0] + halves[1]) - p[3] * here + p[4]
+        return (later - earlier) / (2.0 * reach * dt) - modelled
 
     # ------------------------------------------------------------------------ the filter
 
@@ -398,7 +398,7 @@ class Flight:
         ):
             recursion.predict(
                 self.measured, float(self.data.rate[start]), *push, filtered.gain, filtered.move,
-                sensor.step, sensor.behind, self.data.dt, self.caught, start, stop,
+                sensor.step, sensor.behind, self.data.dt, self.follows_gyro, start, stop,
                 *by._replace(filters=more), rate, states, innovation, jacobian,
             )
         return Prediction(innovation, jacobian, states, steady, rate)
@@ -413,9 +413,9 @@ class Flight:
         out = np.zeros((len(self.passes), theta.size, 6 + 4 * structure.lines))
         filters_here, point = flat(steady), np.r_[theta, damping]
         for j in range(theta.size - structure.filtered, point.size):
-            shifted = point + SMALL * (np.arange(point.size) == j)
-            shifted_filters = flat(self.filters_of(structure, shifted[:-1], shifted[-1]))
-            out[:, j if j < theta.size else 3] = (shifted_filters - filters_here) / SMALL
+            perturbed = point + SMALL * (np.arange(point.size) == j)
+            perturbed_filters = flat(self.filters_of(structure, perturbed[:-1], perturbed[-1]))
+            out[:, j if j < theta.size else 3] = (perturbed_filters - filters_here) / SMALL
         return [*out]
 
     def _follow(
@@ -490,14 +490,14 @@ class Flight:
         cycle = np.arange(windows.length)[:, None]
         went = turned(plant, turning, self.commanded(p), self.driven(structure, p), starts + cycle,
                       hold * d * fade**cycle, np.moveaxis(self.sensor_steps(starts), 0, -1))
-        begun: Turning = alike(went, lambda each: np.ascontiguousarray(
+        start: Turning = alike(went, lambda each: np.ascontiguousarray(
             np.swapaxes(each[..., :-1, :], -1, -2)))
-        errors = (begun.seen[0] if self.sensor.noisy else begun.rate) \
+        errors = (start.seen[0] if self.sensor.noisy else start.rate) \
             - self.data.rate[windows.cells]
         if not self.sensor.derived:
             errors += (v @ (turn**cycle).T).real
         return Run(self.data.where_measured(errors, windows),
-                   0.5 * (went.rate[:-1] + went.rate[1:]).T, begun.angle, begun.hidden)
+                   0.5 * (went.rate[:-1] + went.rate[1:]).T, start.angle, start.hidden)
 
 
 def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, FloatArray],
@@ -516,8 +516,8 @@ def turned(plant: Plant, x: Turning, s: Signals, driven: tuple[FloatArray, Float
                                 more, each)  # type: ignore[arg-type]
         following = np.concatenate([listing.places(one).ravel() for one in leaves(later)])
     except (Untraceable, TypeError, IndexError, ValueError):
-        for now, pushed in zip(cells, push, strict=True):
-            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], pushed, step)
+        for now, acceleration in zip(cells, push, strict=True):
+            x = plant.turn(x, s.at(now), driven[0][:, now], driven[1][:, now], acceleration, step)
             path.append(flat(x))
         return unflat(np.stack(path, axis=1), x)
     code, inputs, places = listing.repeated(following)

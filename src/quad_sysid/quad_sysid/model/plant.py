@@ -60,15 +60,15 @@ def drive_of(
 
     remembered: the hidden states of the effect of this number, which sees these signals.
     """
-    signals_seen = []
+    inputs = []
     for i, (part, p) in enumerate(command_effects):
         s = s.replaced(hidden=remembered(i, s))
-        signals_seen.append(s)
+        inputs.append(s)
         s = s.replaced(sent=part.effect.command(s, p, part.settings))
     sent = required(s.sent)
     drive = Drive(sent[None], np.ones(1), np.full((1, *sent.shape), s.lag))
     drive = drive.behind(np.full(sent.shape, s.delay / s.dt))
-    for (part, p), signals in zip(command_effects, signals_seen, strict=True):
+    for (part, p), signals in zip(command_effects, inputs, strict=True):
         drive = part.effect.actuate(drive, signals, p, part.settings)
     return drive
 
@@ -185,9 +185,9 @@ class Plant:
         drive = drive_of(self.command_effects, s, remembered)
         longest = s.delay + sum(part.effect.longest_s(p) for part, p in self.command_effects)
         line = np.repeat(drive.commands[None], 3 + math.ceil(longest / self.dt), axis=0)
-        lagged = np.tensordot(drive.row, drive.commands, 1)
-        signals = s.replaced(rate=rate, angle=angle, drive=self.p[0] * lagged, lagged=lagged,
-                        command=self.p[0] * lagged, change=np.zeros_like(lagged))
+        level = np.tensordot(drive.row, drive.commands, 1)
+        signals = s.replaced(rate=rate, angle=angle, drive=self.p[0] * level, lagged=level,
+                        command=self.p[0] * level, change=np.zeros_like(level))
         hidden = tuple(
             None if not part.effect.states else
             (part.effect.steady if steady else part.effect.begin)(signals, p, part.settings)
@@ -215,17 +215,17 @@ class Plant:
 
         s: as of `with_own`.
         """
-        signals_seen: list[Signals] = []
+        inputs: list[Signals] = []
 
         def remembered(i: int, signals: Signals) -> FloatArray | None:
-            signals_seen.append(signals)
+            inputs.append(signals)
             return hidden[i]
 
         drive = drive_of(self.command_effects, s, remembered)
         return drive, tuple(
             None if states is None else part.effect.advance(states, signals, p, part.settings)
             for states, signals, (part, p)
-            in zip(hidden, signals_seen, self.command_effects, strict=True)
+            in zip(hidden, inputs, self.command_effects, strict=True)
         )
 
     def turn(

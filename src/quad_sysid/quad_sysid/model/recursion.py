@@ -211,9 +211,9 @@ def motors_step(w, new, before, row, lag, factors, fraction, dt, out):
 
 @kernel(LINE, NUMBER, TABLE, LINE, LINE, LINE, TABLE, FLAG, NUMBER, FLAGS, WHOLE, WHOLE, TABLE,
         TABLE, WHOLES, TABLE, TABLE, BLOCK, BLOCKS, WHOLES, LINE, TABLE, LINE, TABLE)
-def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start, stop, columns,
-            bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states, innovation,
-            jacobian):
+def predict(y, begin, known, slope, gain, move, gyro, behind, dt, follows_gyro, start, stop,
+            columns, bends, bent, filters, wander, pursuit, by_pursuit, place, rate, states,
+            innovation, jacobian):
     """Innovations of the predictor over [start, stop) and their derivatives.
 
     y (n,) measured, begin the rate at the start. known (2, n) acceleration over the halves of each
@@ -224,7 +224,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
     v,): what is left of the disturbance after a cycle, its mean over the cycle, and the turn of
     each line (cosine and sine times what is left of it); filters (m, 6 + 4 v) the derivatives of
     both; nothing is added where y is NaN. gyro (2, 5) as in noise.Sensor.step, measured where
-    `behind`. In cycles that are `caught` (n,) rate and sensor are as measured, and nothing else is
+    `behind`. In cycles of `follows_gyro` (n,) rate and sensor are as measured, and nothing else is
     learnt. wander (n, w): acceleration per unit of each wandering term; pursuit (n, w, 2): what an
     innovation adds to it, and what is left of it after the cycle, by_pursuit (n, w, 2, 2) their
     derivatives by its two parameters, whose columns begin at place (w,). rate (n,) receives the
@@ -254,7 +254,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
     v, x = np.zeros((lines, 2)), np.zeros(wanders)
     s0, s1, s2, s3 = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
     sv, sx = np.zeros((lines, 2, m)), np.zeros((wanders, m))
-    z, pushed = np.empty(m), np.empty(m)
+    z, forced = np.empty(m), np.empty(m)
     for k in range(start, stop):
         states[k, 0], states[k, 1], states[k, 2], states[k, 3] = r, d, g, q
         e = y[k] - (g if behind else r)
@@ -274,7 +274,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
             e = 0.0
             for j in range(m):
                 z[j] = 0.0
-        if caught[k]:
+        if follows_gyro[k]:
             r, g, e, innovation[k] = r + e, g + e, 0.0, np.nan
             for j in range(m):
                 s0[j] += z[j]
@@ -282,7 +282,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
                 z[j] = 0.0
         for j in range(m):
             jacobian[k, j] = z[j]
-            pushed[j] = columns[k, j]
+            forced[j] = columns[k, j]
         r += c0 * e
         d += c1 * e
         g += c2 * e
@@ -296,22 +296,22 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
                 sv[i, 0, j] = c * x0 - s * x1 + by_turn[i, 0, j] * v0 - by_turn[i, 1, j] * v1
                 sv[i, 1, j] = c * x1 + s * x0 + by_turn[i, 0, j] * v1 + by_turn[i, 1, j] * v0
             v[i, 0], v[i, 1] = c * v0 - s * v1, c * v1 + s * v0
-        moved = 0.0
+        wander_sum = 0.0
         for i in range(wanders):
             states[k, first + i] = x[i]
             x[i] += pursuit[k, i, 0] * e
-            moved += wander[k, i] * x[i]
+            wander_sum += wander[k, i] * x[i]
             for j in range(m):
                 sx[i, j] += pursuit[k, i, 0] * z[j]
             for j in range(min(m, 2)):
                 sx[i, place[i] + j] += by_pursuit[k, i, 0, j] * e
             for j in range(m):
-                pushed[j] += wander[k, i] * sx[i, j]
+                forced[j] += wander[k, i] * sx[i, j]
         a = 0.5 * dt * slope[k]
         factor = (1.0 + a) / (1.0 - a)
         input_gain = dt / (1.0 - a)
         mean = 0.5 * (known[0, k] + known[1, k])
-        new = factor * r + input_gain * (mean + moved + hold * d)
+        new = factor * r + input_gain * (mean + wander_sum + hold * d)
         middle = 0.5 * (r + new)
         rate[k] = middle
         curved = middle + 0.25 * dt * (known[0, k] - known[1, k])
@@ -320,7 +320,7 @@ def predict(y, begin, known, slope, gain, move, gyro, behind, dt, caught, start,
             x1 = s1[j] + c1 * z[j] + n1[j] * e
             x2 = s2[j] + c2 * z[j] + n2[j] * e
             x3 = s3[j] + c3 * z[j] + n3[j] * e
-            x4 = factor * x0 + input_gain * (pushed[j] + hold * x1 + t1[j] * d)
+            x4 = factor * x0 + input_gain * (forced[j] + hold * x1 + t1[j] * d)
             mid = 0.5 * (x0 + x4)
             s0[j] = x4
             s1[j] = fade * x1 + t0[j] * d
@@ -539,11 +539,11 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
         rms, frequency, width = noise[4 + 3 * i], noise[5 + 3 * i], noise[6 + 3 * i]
         decay = math.exp(-math.pi * dt * width)  # after a cycle, in which it turns by an angle
         angle = 2.0 * math.pi * dt * frequency
-        turned, across = decay * math.cos(angle), decay * math.sin(angle)
+        along, across = decay * math.cos(angle), decay * math.sin(angle)
         k = 4 + 2 * i
         c[k] = 1.0
-        move[2 + 2 * i], move[3 + 2 * i] = turned, across
-        rows[k, k] = rows[k + 1, k + 1] = turned
+        move[2 + 2 * i], move[3 + 2 * i] = along, across
+        rows[k, k] = rows[k + 1, k + 1] = along
         rows[k, k + 1], rows[k + 1, k] = -across, across
         process[k, k] = process[k + 1, k + 1] = rms * rms * (1.0 - decay * decay)
     r = adds = 1.0
@@ -580,7 +580,7 @@ def steady_filter(noise, damping, step, behind, noisy, averaged, dt):
 
 
 @kernel(LINE, LINE, NUMBER, WHOLE, WHOLE, LINE)
-def led(measured, turned, gain, start, stop, out):
+def led(measured, increments, gain, start, stop, out):
     """A measured angle, followed with this gain and carried on by what was turned since, rad.
 
     It begins as the mean of what was measured so far; lost samples are NaN.
@@ -591,4 +591,4 @@ def led(measured, turned, gain, start, stop, out):
             count += 1
             x += max(gain, 1.0 / count) * (measured[k] - x)
         out[k] = x
-        x += turned[k]
+        x += increments[k]

@@ -64,11 +64,11 @@ class Sensitivity:
             by_rate[:, 0], onward[:, 0, 0] = dt, 1.0
         k = first
         for x in self.hidden:
-            for i, kept in enumerate(x.copy()):
-                step = SMALL * float(np.sqrt(np.mean(kept**2))) or 1e-9
-                x[i] = kept + step
+            for i, value in enumerate(x.copy()):
+                step = SMALL * float(np.sqrt(np.mean(value**2))) or 1e-9
+                x[i] = value + step
                 by_state[:, k], onward[:, first:, k] = slopes(s, step)
-                x[i] = kept
+                x[i] = value
                 k += 1
         columns, bends = np.empty((n, count)), np.zeros((n, count))
         forward, initial = np.zeros((n, size, count)), np.zeros((self.windows.count, size, count))
@@ -76,16 +76,16 @@ class Sensitivity:
                              for j in range(where.start, where.stop))]
         started = self._initial(p, range(count), bent)
         for j, step in enumerate(steps):
-            moved_theta = self.theta.copy()
-            moved_theta[j] += step
-            q = structure.natural(moved_theta)
-            shifted = self._passed(q) if j in bent else here
-            more, later = self._forces(shifted, q)
+            perturbed_theta = self.theta.copy()
+            perturbed_theta[j] += step
+            q = structure.natural(perturbed_theta)
+            perturbed = self._passed(q) if j in bent else here
+            more, later = self._forces(perturbed, q)
             columns[:, j] = (more - force) / step
             forward[:, first:, j] = (later - following).T / step
             initial[:, first:, j] = ((self._initial(q, [j], bent) - started) / step).T
             if j in bent:
-                difference = (shifted[0] - halves) / step
+                difference = (perturbed[0] - halves) / step
                 bends[:, j] = 0.5 * (difference[0] - difference[1])
         if turns:
             forward[:, 0] = dt * dt / 3.0 * bends
@@ -108,8 +108,8 @@ class Sensitivity:
     def _forces(self, passed: Passed, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n,) acceleration; (states, n) all hidden states a cycle later."""
         (halves, s), hidden, acting, following = passed, iter(self.hidden), [], []
-        for (part, where), kept in zip(self.torque_effects, self.run.hidden, strict=True):
-            states = None if kept is None else next(hidden)
+        for (part, where), start in zip(self.torque_effects, self.run.hidden, strict=True):
+            states = None if start is None else next(hidden)
             acting.append((part, p[where], s if states is None else s.replaced(hidden=states)))
             if states is not None:
                 following.append(part.effect.advance(states, s, p[where], part.settings))

@@ -129,8 +129,8 @@ class Structure:
 
     def minus(self, *indices: int) -> Structure:
         """The structure without the effects with these indices."""
-        kept = (part for i, part in enumerate(self.parts) if i not in indices)
-        return replace(self, parts=tuple(kept))
+        remaining = (part for i, part in enumerate(self.parts) if i not in indices)
+        return replace(self, parts=tuple(remaining))
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""

@@ -100,17 +100,17 @@ class Listing:
             self._known[key] = first
         return self._known[key]
 
-    def call(self, made: Made, given: Any, like: Sequence[FloatArray]) -> list[Traced]:
+    def call(self, made: Made, passed: Any, like: Sequence[FloatArray]) -> list[Traced]:
         """The results, of the shapes of `like`, of a law that is called.
 
         given: what it takes, a tree of tuples and mappings with Traced at its ends.
         """
         operands: list[int] = []
-        with_ends(given, lambda leaf: operands.extend(leaf.at.ravel().tolist()))
+        with_ends(passed, lambda leaf: operands.extend(leaf.at.ravel().tolist()))
         stops = np.cumsum([array.size for array in like])
         first = self.note('called', operands, (len(self.calls),), int(stops[-1]))
         places = np.split(np.arange(first, first + stops[-1]), stops[:-1])
-        self.calls.append(Call(made, given, places))
+        self.calls.append(Call(made, passed, places))
         return [Traced(self, indices.reshape(array.shape))
                 for indices, array in zip(places, like, strict=True)]
 
@@ -128,16 +128,16 @@ class Listing:
 
     def needed(self, results: Sequence[int], split: int) -> tuple[NDArray[np.int64], int]:
         """The operations (m, 4) that these results need, and how many are of the first `split`."""
-        registers, kept = set(results), []
+        registers, listing = set(results), []
         for i in reversed(range(len(self.code))):
             code, first, a, b = self.code[i]
             if not registers.isdisjoint(range(first, first + self.results[i])):
-                kept.append(i)
+                listing.append(i)
                 several = code in SEVERAL
                 registers.update(self.more[a : a + b] if several else (a, b))
-        rows = [self.code[i] for i in reversed(kept)]
+        rows = [self.code[i] for i in reversed(listing)]
         return (np.array(rows, dtype=np.int64).reshape(-1, 4),
-                sum(i < split for i in kept))
+                sum(i < split for i in listing))
 
     def repeated(self, following: Indices) -> tuple[Indices, FloatArray, Indices]:
         """The operations (m, 4) from a state to that of a cycle later, along arrays.
@@ -301,7 +301,7 @@ class Call(NamedTuple):
     """A law in Python among the operations."""
 
     made: Made
-    given: Any
+    passed: Any
     results: Sequence[Indices]
     """The registers of each."""
 
@@ -309,14 +309,14 @@ class Call(NamedTuple):
         """The call on these registers, which the law sees as arrays that are not copied."""
         gathered: list[tuple[FloatArray, Indices]] = []
 
-        def seen(number: Traced) -> FloatArray:
+        def view(number: Traced) -> FloatArray:
             places = number.at.ravel()
             if (np.diff(places) == 1).all():
                 return r[places[0] : places[-1] + 1].reshape(number.shape)
             gathered.append((np.empty(places.size), places))
             return gathered[-1][0].reshape(number.shape)
 
-        law = self.made(with_ends(self.given, seen))
+        law = self.made(with_ends(self.passed, view))
         places = [r[result[0] : result[-1] + 1] for result in self.results]
 
         def call() -> None:
@@ -395,7 +395,8 @@ FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
 }
 
 
-def noted(name: str, operands: Sequence[Any], numbers: Sequence[float], results: int) -> Any:
+def operation_of(name: str, operands: Sequence[Any], numbers: Sequence[float],
+                 results: int) -> Any:
     """An operation that compiled code has and numpy lacks: `results` arrays like the operands."""
     listing = _listing(*operands)
     arrays = np.broadcast_arrays(*(listing.places(value) for value in operands))

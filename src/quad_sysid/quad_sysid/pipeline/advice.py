@@ -74,10 +74,10 @@ def _excitation(train: IOData, rows: Sequence[ModelRow]) -> Iterator[str]:
 
 
 def _beyond(train: IOData, held_out: IOData) -> Iterator[str]:
-    trained, needed = (high(z.inside(z.y)) for z in (train, held_out))
-    if needed > FURTHER * trained:
+    low, reach = (high(z.inside(z.y)) for z in (train, held_out))
+    if reach > FURTHER * low:
         yield (
-            f'the held-out rates reach {needed:.2g} rad/s, those of the training {trained:.2g}: '
+            f'the held-out rates reach {reach:.2g} rad/s, those of the training {low:.2g}: '
             'there every effect is extrapolated; train on motion as large as the model has to '
             'predict'
         )
@@ -122,10 +122,10 @@ def _delay(answer: AxisAnswer, samples: int) -> Iterator[str]:
             f'the delay of {samples} samples ({1e3 * samples * model.dt:.0f} ms) is not '
             f'that of the grey box (delay and lag {1e3 * lag:.0f} ms): check the stamps'
         )
-    broken = [row for row in answer.rows if any(r.diverged for r in row.loop_runs)
-              and row.step_a.passed_first_step]
-    if broken:
-        names = ', '.join(row.step_a.model.name for row in broken)
+    unstable = [row for row in answer.rows if any(r.diverged for r in row.loop_runs)
+                and row.step_a.passed_first_step]
+    if unstable:
+        names = ', '.join(row.step_a.model.name for row in unstable)
         yield (f'with the recorded gains the simulated cascade diverges for {names}, while the '
                'aircraft flew: gain or delay of the model is not consistent with the cascade')
 

@@ -128,9 +128,9 @@ def outside_of(model: AxisModel, data: AxisData, spans: Sequence[Span]) -> tuple
         if out:
             least, most = float(np.nanmin(in_training)), float(np.nanmax(in_training))
             bounds = (least, most, low, high)
-            shown = bounds if model.units is None else (
+            converted = bounds if model.units is None else (
                 model.units.signal_in(name, end) for end in bounds)
-            signals.append(Outside(name, out * data.dt, *shown))
+            signals.append(Outside(name, out * data.dt, *converted))
     return tuple(sorted(signals, key=lambda signal: -signal.seconds))
 
 

@@ -112,7 +112,7 @@ def fit_models(z: IOData) -> Fits:
     n, nk = (ORDERS[0], latest) if best is None else (best.F.size - 1, best.nk)
     if best is not None:
         models.append(best)
-    models += tried(refused, lambda: armax(z, n, n, n, nk), lambda: oe(z, n, n, nk))
+    models += successful_fits(refused, lambda: armax(z, n, n, n, nk), lambda: oe(z, n, n, nk))
     models += _highest_stable(refused, n, lambda order: iv4(z, order, order, nk))
     if z.r is not None:
         models += _highest_stable(
@@ -135,7 +135,8 @@ def box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
         return not model.converged, not passed, bic
 
     def fitted(order: int, delay: int, start: Model | None = None) -> Model | None:
-        models = tried(refused, lambda: bj(z, order, order, order, order, delay, start=start))
+        models = successful_fits(
+            refused, lambda: bj(z, order, order, order, order, delay, start=start))
         return models[0] if models else None
 
     best: Model | None = None
@@ -162,14 +163,14 @@ def _highest_stable(refused: list[str], order: int,
     reasons: list[str] = []
     models: tuple[Model, ...] = ()
     for lower in range(order, ORDERS[0] - 1, -1):
-        models = tried(reasons, lambda lower=lower: fit(lower)) or models  # type: ignore[misc]
+        models = successful_fits(reasons, lambda lower=lower: fit(lower)) or models  # type: ignore[misc]
         if models and models[0].stable and models[0].converged:
             return models
     refused += reasons
     return models
 
 
-def tried(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
+def successful_fits(refused: list[str], *fits: Callable[[], Model]) -> tuple[Model, ...]:
     """The fits that succeed; the errors of the others are added to `refused`."""
 
     def attempt(fit: Callable[[], Model]) -> Model | None:

@@ -31,7 +31,7 @@ from quad_sysid.pipeline import blackbox_part
 from quad_sysid.pipeline.assemble import outside_of
 from quad_sysid.pipeline.usable import check_limits, same_craft, same_rate
 from quad_sysid.record import Record, finite_runs
-from quad_sysid.units import shown_in
+from quad_sysid.units import unit_and_factor
 
 NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 MOTION = 1.5
@@ -111,7 +111,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     base = {p.name: p.value for p in model.plain or model.base}
     blackbox_data = blackbox_part.about_base(
         replace(data, reference=None), base['gain'], base['bias'])
-    unit, factor = shown_in(model.units, 'rad/s')
+    unit, factor = unit_and_factor(model.units, 'rad/s')
 
     def laws(effects: Iterable[EffectEstimate]) -> list[tuple[str, str]]:
         return sorted((effect.name, effect.variant) for effect in effects)
@@ -214,12 +214,12 @@ def flown_spans(record: Record, data: AxisData,
     """Samples (from, to) without gaps of `spans_s`, s; default: all but idle segments."""
     is_finite = np.isfinite(data.rate)
     if spans_s:
-        spans_wanted = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
-                        for a, b in spans_s]
+        spans = [(round(a / data.dt), min(data.rate.size, round(min(b, 1e9) / data.dt)))
+                 for a, b in spans_s]
     else:
         busy = [s for s in record.segments if s.role != 'idle']
-        spans_wanted = [record.span(s) for s in busy] if record.segments else [(0, record.n)]
-    return tuple(run for span in spans_wanted for run in finite_runs(is_finite, span))
+        spans = [record.span(s) for s in busy] if record.segments else [(0, record.n)]
+    return tuple(run for span in spans for run in finite_runs(is_finite, span))
 
 
 def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0, 0.0), *,

@@ -60,9 +60,9 @@ def residuals(answer: AxisAnswer, findings: Findings) -> dict[str, Residual]:
     A model is left out where the segments are too short to test it.
     """
     z = required(answer.validation)
-    out = {name: replace(tested, missing=missing_torque(held, z.dt))
-           for name, held in (('before', findings.before), ('after', findings.after))
-           if (tested := residual(held.innovations, z)) is not None}
+    out = {name: replace(tested, missing=missing_torque(result, z.dt))
+           for name, result in (('before', findings.before), ('after', findings.after))
+           if (tested := residual(result.innovations, z)) is not None}
     if answer.selected is not None:
         model = answer.rows[answer.selected].step_a.model
         tested = residual(z.y - predict(model, z, 1), z, model)
@@ -86,12 +86,12 @@ def residual(errors: FloatArray, z: IOData, model: Model | None = None) -> Resid
                     density=density, peaks=_peaks(*spectrum) if spectrum else ())
 
 
-def missing_torque(held_out_result: HeldOut, dt: float) -> MissingTorque:
+def missing_torque(result: HeldOut, dt: float) -> MissingTorque:
     """The torque disturbance that the filter sees, beside what its own noise lets one expect."""
-    samples = np.flatnonzero(np.isfinite(held_out_result.disturbance))
-    noise, steady = stored.noise_of(held_out_result.fit), held_out_result.fit.prediction.filter
+    samples = np.flatnonzero(np.isfinite(result.disturbance))
+    noise, steady = stored.noise_of(result.fit), result.fit.prediction.filter
     variance = max(noise.ratios['disturbance'] ** 2 - float(steady.covariance[1, 1]), 0.0)
-    return MissingTorque(samples.astype(np.float64) * dt, held_out_result.disturbance[samples],
+    return MissingTorque(samples.astype(np.float64) * dt, result.disturbance[samples],
                          noise.gyro_rms * float(np.sqrt(variance)))
 
 
@@ -106,11 +106,11 @@ def _peaks(f: FloatArray, density: FloatArray, count: int) -> tuple[tuple[float,
     width = max(9, round(10.0 * WINDOW_S) | 1)
     median = ndimage.median_filter(density, size=width, mode='nearest')
     ratio = density / np.maximum(median, 1e-12 * density.max())
-    looked = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])  # the last lines hold folded ones
+    tested = (f >= LOWEST_PEAK_HZ) & (f < 0.95 * f[-1])  # the last lines hold folded ones
     freedom = 1.2 * count  # halves overlap, so neighbours in time are not independent
-    level = float(special.chdtri(freedom, 1e-3 / max(int(looked.sum()), 1))) / freedom
+    level = float(special.chdtri(freedom, 1e-3 / max(int(tested.sum()), 1))) / freedom
     # half as much again, since a running median only follows the background
-    high = looked & (ratio > max(PEAK, 1.5 * level))
+    high = tested & (ratio > max(PEAK, 1.5 * level))
     peaks = [
         (float(f[i]), float(ratio[i])) for i in np.flatnonzero(high)
         if ratio[i] == ratio[max(i - 4, 0) : i + 5].max()

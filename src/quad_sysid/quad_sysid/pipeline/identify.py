@@ -19,7 +19,7 @@ from quad_sysid.beside import side_by_side
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.discover.accept import Unseen, judge
 from quad_sysid.discover.constants import AGAIN
-from quad_sysid.discover.screen import FEWEST_MOTORS, candidates, screen
+from quad_sysid.discover.screen import MIN_MOTORS, candidates, screen
 from quad_sysid.discover.search import SearchResult, extended, scored, search, to_convergence
 from quad_sysid.effects import EFFECTS
 from quad_sysid.errors import NotInformativeError, QuadSysidError, p_in_words
@@ -40,7 +40,7 @@ from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
 from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
 from quad_sysid.record import IOData, Record
-from quad_sysid.units import Units, shown_in
+from quad_sysid.units import Units, unit_and_factor
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class AxisFlight:
         commands = slice(1, None) if entry.turns else slice(1)
         drawn = [drawn_hz(record.control[:, commands], record.dt)
                  for record in records if entry.turns or entry.index < 0]
-        trained = [s.start_s for s in first.segments if s.role == 'train']
+        starts_s = [s.start_s for s in first.segments if s.role == 'train']
 
         def joined(setpoints: Sequence[FloatArray | None]) -> FloatArray | None:
             columns = [setpoint[:, entry.index] for setpoint in setpoints
@@ -77,7 +77,7 @@ class AxisFlight:
             return np.concatenate(columns) if len(columns) == len(setpoints) else None
 
         return cls(
-            data, loop_of(records, axis), dict(first.gains_at(min(trained, default=0.0))),
+            data, loop_of(records, axis), dict(first.gains_at(min(starts_s, default=0.0))),
             first.units, max(drawn, default=0.0),
             joined([record.attitude_setpoint for record in records]),
             joined([record.rate_setpoint for record in records]))
@@ -149,12 +149,12 @@ def identify_axis(records: Sequence[Record], axis: str, options: Options,
         reason = '; '.join([str(error), *(w for w in answer.warnings if 'cut off' in w)])
         return replace(answer, reason=reason, proposal=GainProposal(None, reason))
     data, search_result = findings.data, findings.search
-    count = max(findings.problem.data.motors.shape[1], FEWEST_MOTORS)
-    searched = any(effect.label not in search_result.reasons
-                   and max(effect.motors, default=0) < count
-                   and (not effect.axes or axis in effect.axes) for effect in options.effects)
+    count = max(findings.problem.data.motors.shape[1], MIN_MOTORS)
+    is_searched = any(effect.label not in search_result.reasons
+                      and max(effect.motors, default=0) < count
+                      and (not effect.axes or axis in effect.axes) for effect in options.effects)
     verdict, why_not = findings.verdict.verdict, ''
-    if not searched:
+    if not is_searched:
         verdict = verdict if verdict == 'cannot_tell' else 'not_searched'
         why_not = DRAWN.format(flight.drawn_hz) if flight.drawn_hz else NOT_SEARCHED
     train = io_data(data, data.train)
@@ -209,24 +209,24 @@ def findings_of(data: AxisData, options: Options, progress: Progress = lambda _:
     progress(f'{data.axis}: what is missing')
     try:
         problem = problem or Problem(data, data.train)
-        searched = search(problem, options.effects, options.halt,
-                          lambda line: progress(f'{data.axis}: {line}'))
+        result = search(problem, options.effects, options.halt,
+                        lambda line: progress(f'{data.axis}: {line}'))
         if not options.halt():
-            searched = with_own(problem, searched, options.effects)
+            result = with_own(problem, result, options.effects)
         if not options.effects:
-            searched.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
+            result.reasons.update((effect.label, NOT_SEARCHED) for effect in EFFECTS)
         progress(f'{data.axis}: the explanation')
         parts = [part for part in candidates(problem, options.effects)[0]
-                 if part.effect.label not in searched.reasons]
-        ladder = explain(problem, searched, parts)
+                 if part.effect.label not in result.reasons]
+        ladder = explain(problem, result, parts)
         progress(f'{data.axis}: held-out segments')
         if options.base is None:
-            data = about_base(data, searched.base.value('gain'), searched.base.value('bias'))
+            data = about_base(data, result.base.value('gain'), result.base.value('bias'))
         unseen = Unseen(data, data.validation)
-        verdict = judge(unseen, problem, searched, ladder)
+        verdict = judge(unseen, problem, result, ladder)
         base_error = held_out(unseen, verdict.base)
         after = base_error if verdict.chosen is verdict.base else held_out(unseen, verdict.chosen)
-        return Findings(data, problem, searched, ladder, verdict, base_error, after)
+        return Findings(data, problem, result, ladder, verdict, base_error, after)
     except (FloatingPointError, np.linalg.LinAlgError) as error:
         spreads = [float(np.nanstd(data.training(x))) for x in (data.command, data.rate)]
         raise NotInformativeError(
@@ -236,24 +236,24 @@ def findings_of(data: AxisData, options: Options, progress: Progress = lambda _:
         ) from error
 
 
-def with_own(problem: Problem, searched: SearchResult, effects: Sequence[Effect]) -> SearchResult:
+def with_own(problem: Problem, result: SearchResult, effects: Sequence[Effect]) -> SearchResult:
     """The search's result, with fits beside the base of the user's effects that it skipped.
 
     A search fits only promising effects; the report states for every effect of the user's what it
     explains.
     """
-    fitted = {label for entry in searched.all for label in entry.fit.structure.labels}
+    fitted = {label for entry in result.all for label in entry.fit.structure.labels}
     passed_over = [effect for effect in effects if effect not in EFFECTS
-                   and effect.label not in fitted | searched.reasons.keys()]
+                   and effect.label not in fitted | result.reasons.keys()]
     if not passed_over:
-        return searched
-    fits = {score.part.effect.label: extended(problem, searched.base, score)
-            for score in screen(problem, searched.base, candidates(problem, passed_over)[0])}
-    more = [scored(fit, searched.prices) for fit in fits.values() if fit is not None]
+        return result
+    fits = {score.part.effect.label: extended(problem, result.base, score)
+            for score in screen(problem, result.base, candidates(problem, passed_over)[0])}
+    more = [scored(fit, result.prices) for fit in fits.values() if fit is not None]
     failed = {effect.label: NOT_FITTED for effect in passed_over
               if fits.get(effect.label) is None}
-    return to_convergence(problem, replace(searched, all=(*searched.all, *more),
-                                           reasons=searched.reasons | failed))
+    return to_convergence(problem, replace(result, all=(*result.all, *more),
+                                           reasons=result.reasons | failed))
 
 
 def _would_help(findings: Findings, not_searched: str) -> str:
@@ -298,7 +298,7 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
              f'comes again in {again:.0%} of resampled flights only')
     if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
         noise = noise_of(verdict.base)
-        unit, factor = shown_in(units, 'rad/s²')
+        unit, factor = unit_and_factor(units, 'rad/s²')
         reason += (
             f"; the base's error is {verdict.before / verdict.noise_floor:.0f} times the noise of "
             f'the rate and is taken for gusts, {factor * noise.disturbance_rms:.2g} {unit} that '
@@ -315,7 +315,7 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.held_terms:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.zero_terms:
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'

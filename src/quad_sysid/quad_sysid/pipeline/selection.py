@@ -33,7 +33,7 @@ from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.advice import advice, rivalry
 from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
 from quad_sysid.pipeline.assemble import Support
-from quad_sysid.pipeline.blackbox_part import ORDERS, Fits, tried
+from quad_sysid.pipeline.blackbox_part import ORDERS, Fits, successful_fits
 from quad_sysid.record import IOData
 
 KNOWN_CONTROLLER_PCT = 70.0
@@ -72,8 +72,8 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
 
 def _known(z: IOData, gains: CascadeGains) -> tuple[LinearController | None, str]:
     """The controller, if it reproduces the recorded command, and the finding in words."""
-    ways = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
-    best = max(ways, key=lambda way: reproduced(z, way))
+    controllers = [controller(gains, z.dt, trapezoid=trapezoid) for trapezoid in (True, False)]
+    best = max(controllers, key=lambda way: reproduced(z, way))
     fit = reproduced(z, best)
     if fit < KNOWN_CONTROLLER_PCT:
         return None, (
@@ -121,11 +121,12 @@ def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
     start = next((m for m in fits.models if m.structure == 'BJ'), None)
     names = {approach.name for approach in possible if approach.possible}
     if 'joint' in names:
-        models += tried(reasons, lambda: joint(z, lambda data: bj(data, n, n, n, n, nk)))
+        models += successful_fits(
+            reasons, lambda: joint(z, lambda data: bj(data, n, n, n, n, nk)))
     if controller is not None and 'indirect' in names:
-        fitted = tried(reasons, lambda: indirect(z, n, n, nk, controller, start=start))
+        fitted = successful_fits(reasons, lambda: indirect(z, n, n, nk, controller, start=start))
         if n > ORDERS[0] and not any(model.converged for model in fitted):
-            fitted = tried(
+            fitted = successful_fits(
                 reasons, lambda: indirect(z, ORDERS[0], ORDERS[0], nk, controller)) or fitted
         models += fitted
     return models, tuple(reasons)
@@ -167,9 +168,9 @@ def feedback(z: IOData, model: Model, gains: CascadeGains | None, *, behind_atti
             return True
         if through:
             return None
-        stated = gains is not None and gains.rate_kp != 0.0
+        has_gains = gains is not None and gains.rate_kp != 0.0
         excluded = _few_levels(z) or (
-            not stated and largest_loop_gain(z, model) < NEGLIGIBLE)
+            not has_gains and largest_loop_gain(z, model) < NEGLIGIBLE)
     except QuadSysidError:
         return None
     return False if excluded else None

@@ -79,16 +79,16 @@ def loop_of(records: Sequence[Record], axis: str) -> Loop:
     Compared are the validation segments; of a flight without any, all but its idle ones.
     """
     excited = [(r, s) for r in records for s in r.segments if s.excites(axis)]
-    trained = [(r, s) for r, s in excited if s.role == 'train']
+    train_parts = [(r, s) for r, s in excited if s.role == 'train']
     flights, because = _flown(records, axis) if EVERY[axis].turns else (
         (), 'the loop around a speed is not in the bag')
     return Loop(
         flights, because,
         behind_attitude=not any(s.injection in ('rate', 'control') for _, s in excited),
         through=any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
-                    for _, s in trained),
+                    for _, s in train_parts),
         of_one_set=len({tuple(sorted(gains_of_axis(r, axis, s.start_s).items()))
-                        for r, s in trained}) <= 1,
+                        for r, s in train_parts}) <= 1,
     )
 
 
@@ -134,7 +134,7 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
         return f'{record.source}: no /setpoint/attitude'
     if f'{axis}.rate.kp' not in values:
         return f'{record.source}: /gains/active does not say the gains of {axis}'
-    reference = _held(record.attitude_setpoint[:, index])
+    reference = _without_gaps(record.attitude_setpoint[:, index])
     if reference is None:
         return f'{record.source}: /setpoint/attitude is not finite'
     angle = None if record.angles is None else record.angles[:, index]
@@ -154,7 +154,7 @@ def _under_gains(record: Record, axis: str, values: Mapping[str, float],
                              if np.isfinite(a)), float(reference[0])))
 
 
-def _held(reference: FloatArray) -> FloatArray | None:
+def _without_gaps(reference: FloatArray) -> FloatArray | None:
     """The set-point with lost cycles held, as the firmware holds it; None where all are lost."""
     is_finite = np.isfinite(reference)
     if not is_finite.any():

@@ -16,7 +16,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel, EffectEstimate, GainProposal, NoiseEstimate, Parameter
 from quad_sysid.pipeline.answer import AxisAnswer, Findings, ModelRow, Residual
 from quad_sysid.record import Segment
-from quad_sysid.units import Units, in_units_of, shown_in
+from quad_sysid.units import Units, in_units_of, unit_and_factor
 from quad_sysid.whole import Whole
 
 SCHEMA = 'quad_sysid/report/1'
@@ -81,7 +81,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         return [_parameter(p, model, inertia) for p in group if model and model.shows(p)]
 
     units = answer.units
-    per_rate = shown_in(units, 'rad/s')[1]
+    per_rate = unit_and_factor(units, 'rad/s')[1]
     tree: dict[str, Any] = _worded(units, {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
@@ -131,7 +131,7 @@ def _effect(effect: EffectEstimate, model: AxisModel, inertia: float | None) -> 
     knots, units = effect.settings.get('knots'), model.units
     if isinstance(knots, tuple | list) and units is not None:
         knots = [units.signal_in(effect.signals[0], x) for x in knots]
-    shown = [model.in_units(p) for p in effect.parameters]
+    parameters = [model.in_units(p) for p in effect.parameters]
     return {
         'name': effect.name,
         'kind': effect.kind,
@@ -143,7 +143,7 @@ def _effect(effect: EffectEstimate, model: AxisModel, inertia: float | None) -> 
         'rivals': [{'name': name, 'probability': p} for name, p in effect.rivals],
         'probability': min(max(effect.probability, 0.0), 1.0),
         **({'variant': effect.variant} if effect.variant else {}),
-        **({'curve': {'x': knots, 'y': [p.value for p in shown
+        **({'curve': {'x': knots, 'y': [p.value for p in parameters
                                         if p.name.startswith(('y', 'slope_'))]}}
            if isinstance(knots, tuple | list) else {}),
     }
@@ -170,7 +170,7 @@ def _noise(noise: NoiseEstimate | None, dt: float, units: Units | None) -> list[
     if noise is None:
         return []
     return [
-        {'name': name, 'value': factor * value, 'std': None, 'unit': shown}
+        {'name': name, 'value': factor * value, 'std': None, 'unit': unit_text}
         for name, value, unit in (
             ('disturbance_rms', noise.disturbance_rms, 'rad/s²'),
             ('disturbance_correlation', noise.correlation_s, 's'),
@@ -178,7 +178,7 @@ def _noise(noise: NoiseEstimate | None, dt: float, units: Units | None) -> list[
             *((f'slow_noise_{i}', rms * noise.gyro_rms, 'rad/s') if width > frequency
               else (f'vibration_{i}', abs(frequency - round(frequency * dt) / dt), 'Hz')
               for i, (rms, frequency, width) in enumerate(noise.lines, 1)),
-        ) for shown, factor in (shown_in(units, unit),)
+        ) for unit_text, factor in (unit_and_factor(units, unit),)
     ]
 
 
@@ -242,7 +242,7 @@ def _parameter(inside: Parameter, model: AxisModel, inertia: float | None) -> di
 
 def _error(answer: AxisAnswer) -> dict[str, Any]:
     findings, loop = answer.findings, answer.closed_loop
-    unit, factor = shown_in(answer.units, 'rad/s')
+    unit, factor = unit_and_factor(answer.units, 'rad/s')
     tree: dict[str, Any] = {'metric': METRIC, 'unit': unit, 'data': 'held-out',
                             **dict.fromkeys(ERRORS)}
     if findings is None:
@@ -309,7 +309,8 @@ def _model(row: ModelRow) -> dict[str, Any]:
 def _residual(residual: Residual, units: Units | None) -> dict[str, Any]:
     """Tests of one model's residual: values only."""
     test, missing = residual.test, residual.missing
-    (unit, factor), (torque, per_torque) = (shown_in(units, si) for si in ('rad/s', 'rad/s²'))
+    (unit, factor), (torque, per_torque) = (
+        unit_and_factor(units, si) for si in ('rad/s', 'rad/s²'))
     tree: dict[str, Any] = {
         'data': 'held-out', 'samples': test.samples, 'rms': factor * residual.rms,
         'unit': unit,

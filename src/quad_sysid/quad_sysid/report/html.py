@@ -17,7 +17,7 @@ from quad_sysid.report.plots_data import zooming
 from quad_sysid.report.style import document, script
 from quad_sysid.whole import URDF
 
-SHOWN = ('effect_shape', 'missing_torque', 'free_run', 'signals')
+PREFERRED = ('effect_shape', 'missing_torque', 'free_run', 'signals')
 """Picture of a notebook's cell: the first of these that exists."""
 COPY = """<script>document.querySelectorAll('[data-copy]').forEach(b => { b.onclick = () => {
 const pre = b.parentElement.querySelector('pre'), done = () => { b.textContent = 'copied'; };
@@ -68,7 +68,7 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
     """A result in a notebook: answer, tables and one picture per axis; `text` folded."""
     parts = [f'<style>{CELL}</style><div class="quad">']
     for axis, tree in report['axes'].items():
-        drawn = (draw(answers[axis], name) for name in SHOWN)
+        drawn = (draw(answers[axis], name) for name in PREFERRED)
         picture = next((picture for picture in drawn if picture is not None), None)
         parts += [_answer(axis, tree), tables.explanation(tree).html(),
                   tables.effects(tree).html(), tables.parameters(tree).html(),
@@ -109,17 +109,17 @@ def _ladder(tree: Mapping[str, Any]) -> str:
 
 def bars(rungs: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """A bar for each rung of a ladder, with its name."""
-    drawn, shown = [], 0.0
+    drawn, total = [], 0.0
     for name, rung in rungs:
         share = max(0.0, min(100.0, rung['explains_pct']))
-        style = 'opacity:1' if not shown or rung.get('answer') else 'opacity:.45'
+        style = 'opacity:1' if not total or rung.get('answer') else 'opacity:.45'
         drawn.append(
             f'<div class="small">{escape(name)}: {share:.0f} %</div>'
             f'<div style="height:.6em;border:1px solid #8886;margin:.1em 0 .5em">'
             f'<div style="height:100%;width:{share:.1f}%;background:currentColor;{style}"></div>'
             '</div>'
         )
-        shown = share
+        total = share
     return ''.join(drawn)
 
 
@@ -150,17 +150,18 @@ def _axis(axis: str, tree: Mapping[str, Any], answer: AxisAnswer | None, drawn: 
     """All details of one axis."""
     model = answer.model if answer is not None else None
     active = model.active_gains if model is not None else {}
-    shown = drawn.pictures
+    pictures = drawn.pictures
 
     def figures(section: str, *but: str) -> str:
         names = [picture.name for picture in PICTURES
                  if picture.section == section and picture.name not in but]
-        parts = ''.join(framed(shown[name], f'{axis}-{name}') for name in names if name in shown)
+        parts = ''.join(framed(pictures[name], f'{axis}-{name}')
+                        for name in names if name in pictures)
         return f'<div class="figures">{parts}</div>' if parts else ''
 
     traces = ''
-    if answer is not None and 'signals' in shown and (zooms := zooming(answer)):
-        traces = framed(shown['signals'], f'{axis}-signals', zooms)
+    if answer is not None and 'signals' in pictures and (zooms := zooming(answer)):
+        traces = framed(pictures['signals'], f'{axis}-signals', zooms)
     sections = [
         ('Data', traces + _fold('Segments', tables.segments(tree).html()) + figures(
             'Data', *(['signals'] if traces else []))),

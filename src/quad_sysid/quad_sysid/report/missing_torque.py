@@ -88,12 +88,12 @@ class Replay:
             followed = {i: x for i, x in followed.items() if i != without}
             values = np.delete(values, structure.slices()[without])
             structure = structure.minus(without)
-        pushed = self.problem.flight.pushed(structure, values, self.fit.rate)
-        mean: FloatArray = 0.5 * (pushed.known[0] + pushed.known[1])
+        accelerations = self.problem.flight.pushed(structure, values, self.fit.rate)
+        mean: FloatArray = 0.5 * (accelerations.known[0] + accelerations.known[1])
         wander = self.problem.flight.wander(structure, values, self.fit.rate)
         for column, x in zip(wander.T, followed.values(), strict=True):
             mean = mean + column * x
-        return mean + pushed.slope * self.fit.rate
+        return mean + accelerations.slope * self.fit.rate
 
     def followed(self) -> dict[int, FloatArray]:
         """Index of each wandering effect → (n,) its coefficient as the filter followed it."""
@@ -173,12 +173,12 @@ def over(replay: Replay, part: Part) -> Over:
         values = signal_of(replay.signals, name)
     if 'other' in name:
         which, product = (*part.effect.others, 0)[0], name.startswith('product')
-        axis, beside = data.other_axes[which], np.ones if product else np.zeros
+        axis, fill = data.other_axes[which], np.ones if product else np.zeros
         label = name if product else f'{name.removeprefix("other ")} of {axis}'
         values = values and (values[0] * values[1] if product else values[which])
 
         def moved(x: FloatArray) -> dict[str, Any]:
-            pair = x, beside(x.size)
+            pair = x, fill(x.size)
             return {field: pair[::-1] if which and not product else pair}
     else:
         axis = data.axis if name in ('rate', 'angle', 'command') else ''

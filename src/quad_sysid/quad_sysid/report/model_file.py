@@ -137,11 +137,11 @@ def pick(models: Mapping[str, AxisModel], axes: str | None,
     """
     if axes is None:
         return dict(models)
-    wanted, named = axes_in(axes), axes.split(',')
-    chosen = {axis: models[axis] for axis in wanted if axis in models}
-    lacking = [axis for axis in wanted if axis not in models and (axis in named or not chosen)]
-    if lacking:
-        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(lacking),
+    requested, named = axes_in(axes), axes.split(',')
+    chosen = {axis: models[axis] for axis in requested if axis in models}
+    absent = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
+    if absent:
+        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(absent),
                             f'it holds {", ".join(models)}')
     return chosen
 
@@ -228,7 +228,7 @@ def _refuse_unrunnable(model: AxisModel, where: str) -> None:
     from quad_sysid.loop.from_model import whole_plant  # seconds to import, with scipy's
 
     try:
-        if np.isfinite(whole_plant(model).held):
+        if np.isfinite(whole_plant(model).rest_acceleration):
             return
     except QuadSysidError:  # whoever runs it may hand in what is not known
         return

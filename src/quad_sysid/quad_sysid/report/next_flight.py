@@ -56,5 +56,5 @@ def _untested(tree: Mapping[str, Any]) -> Iterator[Next]:
     for item in tree.get('not_tested', ()):
         reasons.setdefault(item['because'], []).append(item['name'])
     for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:6]:
-        shown = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
-        yield Next(f'not tested: {shown}, since {because}')
+        listing = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
+        yield Next(f'not tested: {listing}, since {because}')

@@ -10,7 +10,7 @@ from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_models import runs
 from quad_sysid.units import scale
 
-SHOWN = ('rate', 'angle', 'command')
+VARIABLES = ('rate', 'angle', 'command')
 
 
 def left_out(answer: AxisAnswer) -> Picture | None:
@@ -20,10 +20,10 @@ def left_out(answer: AxisAnswer) -> Picture | None:
         return None
     problem = findings.problem
     variables = missing_torque.variables(missing_torque.Replay(problem, findings.after.fit))
-    names = [name for name in SHOWN if name in variables]
+    names = [name for name in VARIABLES if name in variables]
     figure, axes = canvas.panels(len(names), height_in=0.8 + 1.6 * len(names), share_x=False,
                           spacing=0.72)
-    drawn, shown = False, scale(answer.units, 'left out', 'rad/s²')
+    drawn, torque = False, scale(answer.units, 'left out', 'rad/s²')
     over = {name: scale(answer.units, 'acting command' if name == 'command' else name,
                         missing_torque.OVER[name][1]) for name in names}
     for held_out, colour, _, label in runs(findings):
@@ -33,13 +33,13 @@ def left_out(answer: AxisAnswer) -> Picture | None:
             if points is None:
                 continue
             drawn = True
-            panel.errorbar(over[name](points.x), shown(points.mean), Z99 * shown(points.spread),
+            panel.errorbar(over[name](points.x), torque(points.mean), Z99 * torque(points.spread),
                            color=colour, label=label, marker='o', ms=3, capsize=1.5, lw=1.0,
                            elinewidth=0.8)
     for panel, name in zip(axes, names, strict=True):
         panel.axhline(0.0, color=canvas.MUTED, lw=0.8)
         panel.set_xlabel(over[name].label)
-        panel.set_ylabel(shown.label)
+        panel.set_ylabel(torque.label)
     canvas.legend(axes[0])
     if not drawn:
         return None

@@ -28,20 +28,20 @@ def overlay(answer: AxisAnswer) -> Picture | None:
     breaks = np.flatnonzero(np.diff(time_s) > 1.5 * step) + 1
     pieces = np.split(np.arange(time_s.size), breaks)
     long = [p for p in pieces if p.size > 1.0 / step] or pieces
-    shown = max(long, key=lambda p: float(np.var(loop.measured[p])))
-    shown = shown[: round(10.0 / step)]
+    piece = max(long, key=lambda p: float(np.var(loop.measured[p])))
+    piece = piece[: round(10.0 / step)]
     figure, axes = canvas.panels(2, height_in=3.9, ratios=(2.0, 1.0))
     of = scale(answer.units, 'rate', 'rad/s')
-    measured = of(loop.measured[shown])
-    axes[0].plot(time_s[shown], measured, color=canvas.INK, lw=1.0, label='measured')
+    measured = of(loop.measured[piece])
+    axes[0].plot(time_s[piece], measured, color=canvas.INK, lw=1.0, label='measured')
     added = answer.model is not None and bool(answer.model.effects)
     runs = [(loop.after, canvas.AFTER, '-', 'completed' if added else 'base')]
     if added:
         runs.insert(0, (loop.before, canvas.BEFORE, '--', 'base'))
     for simulated, colour, style, name in runs:
-        simulated_run = of(simulated[shown])
-        axes[0].plot(time_s[shown], simulated_run, color=colour, ls=style, label=name)
-        axes[1].plot(time_s[shown], simulated_run - measured, color=colour, lw=0.8)
+        simulated_run = of(simulated[piece])
+        axes[0].plot(time_s[piece], simulated_run, color=colour, ls=style, label=name)
+        axes[1].plot(time_s[piece], simulated_run - measured, color=colour, lw=0.8)
     axes[1].margins(x=0.01)
     error = scale(answer.units, 'error', 'rad/s')
     unit = error.label.removeprefix('error, ')

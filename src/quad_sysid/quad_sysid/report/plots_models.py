@@ -28,8 +28,8 @@ from quad_sysid.units import COMMAND, scale
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SHOWN_WINDOWS = 10
-SHOWN_COHERENCE = 0.2
+MOST_WINDOWS = 10
+LEAST_COHERENCE = 0.2
 """Below it a point of the empirical response is mostly noise, and is not drawn."""
 
 
@@ -79,7 +79,7 @@ def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
     """First and last of up to SHOWN_WINDOWS windows in a row with the largest motion."""
     power = np.array([np.var(rate[s : s + windows.length]) for s in windows.starts])
     breaks = np.flatnonzero(np.diff(windows.starts) != windows.length) + 1
-    rows = [(a, min(a + SHOWN_WINDOWS, int(piece[-1]) + 1) - 1)
+    rows = [(a, min(a + MOST_WINDOWS, int(piece[-1]) + 1) - 1)
             for piece in np.split(np.arange(windows.count), breaks) for a in piece.tolist()]
     return max(rows, key=lambda row: float(np.sum(power[row[0] : row[1] + 1])))
 
@@ -116,7 +116,7 @@ def bode(answer: AxisAnswer) -> Picture | None:
     figure, axes = canvas.panels(2, height_in=4.3, ratios=(1.25, 1.0))
     try:
         data = spa(train)
-        coherent = data.coherence > SHOWN_COHERENCE
+        coherent = data.coherence > LEAST_COHERENCE
         axes[0].loglog(data.w[coherent], of(np.abs(data.response[coherent])), '.', ms=3.5,
                        color=canvas.INK, label='data')
         axes[1].semilogx(data.w[coherent], degrees(data.response[coherent]), '.', ms=3.5,
@@ -185,12 +185,12 @@ def _known(answer: AxisAnswer) -> Iterator[tuple[Residual, str, str, str]]:
 
 def correlations(answer: AxisAnswer) -> Picture | None:
     """Auto- and cross-correlation of the one-step errors of every model, with their bounds."""
-    shown, findings = list(_known(answer)), answer.findings
-    if not shown or findings is None:
+    entries, findings = list(_known(answer)), answer.findings
+    if not entries or findings is None:
         return None
     figure, axes = canvas.panels(2, height_in=4.0, share_x=False, spacing=0.72)
     reach = [0.0, 0.0]
-    for number, (residual, name, colour, style) in enumerate(shown):
+    for number, (residual, name, colour, style) in enumerate(entries):
         test = residual.test
         for panel, lags, values, bound in (
             (0, test.lags[1:], test.autocorrelation[1:], test.autocorrelation_bound),
@@ -210,7 +210,7 @@ def correlations(answer: AxisAnswer) -> Picture | None:
         row.set_ylabel(label)
         row.set_xlabel('lag, s')
     canvas.legend(axes[0])
-    texts = '; '.join(f'{name}: {_words(r.test)}' for r, name, _, _ in shown)
+    texts = '; '.join(f'{name}: {_words(r.test)}' for r, name, _, _ in entries)
     return Picture(
         'correlations', 'What is left, cycle by cycle',
         'One-step errors on held-out data; lines bound 99 % of a single lag. A positive lag is '
@@ -228,15 +228,15 @@ def _words(test: ResidualTest) -> str:
 
 def spectrum(answer: AxisAnswer) -> Picture | None:
     """Spectrum of the one-step errors of every model, with the peaks that stand out."""
-    shown = [entry for entry in _known(answer) if entry[0].frequency_hz.size > 2]
-    if not shown:
+    entries = [entry for entry in _known(answer) if entry[0].frequency_hz.size > 2]
+    if not entries:
         return None
     of = scale(answer.units, 'error', '(rad/s)²/Hz')
     figure, (panel,) = canvas.panels(height_in=2.7)
-    for residual, name, colour, style in shown:
+    for residual, name, colour, style in entries:
         panel.loglog(residual.frequency_hz[1:], of(residual.density[1:]), color=colour, ls=style,
                      lw=1.2, label=name)
-    last = next((r for r, name, _, _ in shown if name == 'completed'), shown[0][0])
+    last = next((r for r, name, _, _ in entries if name == 'completed'), entries[0][0])
     for frequency, _ in last.peaks[:3]:
         panel.axvline(frequency, color=canvas.MUTED, lw=0.7, ls=':')
         panel.text(frequency, panel.get_ylim()[0], f' {frequency:.1f} Hz', fontsize=8, va='bottom')
@@ -251,18 +251,18 @@ def spectrum(answer: AxisAnswer) -> Picture | None:
 
 def torque(answer: AxisAnswer) -> Picture | None:
     """The torque that base and completed model seem to lack, over time."""
-    shown = [(r.missing, n, c) for r, n, c, _ in _known(answer) if r.missing is not None]
-    if not shown:
+    entries = [(r.missing, n, c) for r, n, c, _ in _known(answer) if r.missing is not None]
+    if not entries:
         return None
     of = scale(answer.units, 'torque / inertia', 'rad/s²')
     figure, (panel,) = canvas.panels(height_in=2.7)
-    for missing, name, colour in shown:
+    for missing, name, colour in entries:
         time_s, values = np.asarray(missing.time_s), of(np.asarray(missing.acceleration))
         pieces = np.split(np.arange(time_s.size), np.flatnonzero(np.diff(time_s) > 1.0) + 1)
         for number, index in enumerate(pieces):
             panel.plot(time_s[index], values[index], color=colour, lw=0.8,
                        label='' if number else name)
-    last = shown[-1][0]
+    last = entries[-1][0]
     bound = Z99 * of.factor * last.expected_rms
     panel.axhspan(-bound, bound, color=canvas.GREEN, alpha=0.14, lw=0, label='99 % of its noise')
     canvas.finish([panel], 'time, s', of.label)

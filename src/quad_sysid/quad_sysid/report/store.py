@@ -13,7 +13,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.beside import side_by_side
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_own, check_place, make_folder, unfinished, write_whole
-from quad_sysid.interrupt import held
+from quad_sysid.interrupt import uninterrupted
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import plots
 from quad_sysid.report.html import page
@@ -22,7 +22,7 @@ from quad_sysid.whole import URDF
 
 
 def free_folder(path: Path) -> Path:
-    """`wanted`, or with .1, .2, … where that exists, so that nothing is overwritten."""
+    """`path`, or with .1, .2, … where that exists, so that nothing is overwritten."""
     folder = path
     number = 0
     while folder.exists():
@@ -64,7 +64,7 @@ def write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAns
         _write(draft, report, answers, html=html, pictures=pictures)
         if urdf:
             write_whole(draft / URDF, urdf)
-        with held():
+        with uninterrupted():
             make_folder(folder)
             clear(folder)
             _move(draft, folder)

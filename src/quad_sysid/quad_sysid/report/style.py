@@ -18,6 +18,7 @@ SHEET = (
 *{box-sizing:border-box}
 body{margin:0 auto;max-width:1120px;padding:16px;background:var(--paper);color:var(--ink);
 font:16px/1.5 var(--font)}
+h1,h2,p,li{overflow-wrap:anywhere}
 h1{font-size:1.5rem;margin:.2em 0}h2{font-size:1.3rem;margin:1.8em 0 .4em;
 border-top:1px solid var(--line);padding-top:.8em}h3{font-size:1.08rem;margin:1.4em 0 .4em}
 h4{font-size:.95rem;margin:0 0 .3em}p{margin:.4em 0}
@@ -28,7 +29,7 @@ border-radius:8px;padding:12px 16px;margin:14px 0}
 .answer.found{border-left-color:var(--blue)}.answer.good{border-left-color:var(--green)}
 .answer.open{border-left-color:var(--orange)}
 .answer h2{border:0;margin:0 0 .3em;padding:0}.axis{display:inline-block;text-transform:capitalize}
-.answer h3{font-size:.95rem;margin:.8em 0 0}.answer p{overflow-wrap:anywhere}
+.answer h3{font-size:.95rem;margin:.8em 0 0}
 .tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(130px,1fr));gap:8px;margin:10px 0}
 .tile{background:var(--paper);border:1px solid var(--line);border-radius:6px;padding:6px 10px}
 .tile b{display:block;font-size:1.08rem}.tile span{color:var(--muted);font-size:.8rem}
@@ -58,9 +59,9 @@ tr.sel td{background:var(--card)}details{margin:.6em 0}summary{cursor:pointer}
 @media (max-width:520px){body{padding:10px}figure{padding:6px}.answer{padding:10px}}
 @media print{:root{"""
     + LIGHT
-    + """}body{max-width:none;font-size:11pt;padding:0}nav{display:none}
-figure,.answer,tr{break-inside:avoid}h2,h3,h4{break-after:avoid}
-.figures{columns:2}.scroll{overflow:visible}table{font-size:8.5pt}}
+    + """}body{max-width:none;font-size:11pt;padding:0;-webkit-print-color-adjust:exact;
+print-color-adjust:exact}nav,button{display:none}figure,.answer,tr,pre{break-inside:avoid}h2,h3,h4{break-after:avoid}
+.figures{columns:2}.scroll{overflow:visible;background:none}table{font-size:8.5pt}}
 """
 )
 

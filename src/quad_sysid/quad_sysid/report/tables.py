@@ -13,7 +13,7 @@ from typing import Any
 
 from quad_sysid.axes import units_of
 from quad_sysid.report.words import FIGURES, chance, estimate, figure, named, number, values, yes
-from quad_sysid.units import shown_in
+from quad_sysid.units import unit_and_factor
 
 Tree = Mapping[str, Any]
 WIDTH = 78
@@ -64,16 +64,16 @@ class Table:
         """Lines for a terminal: some columns side by side, another one's sentences below."""
         if not self.rows:
             return []
-        shown = [c for c in (columns or range(len(self.head))) if c != below]
-        cells = [[line[c] for c in shown] for line in (self.head, *self.rows)]
-        widths = _widths(cells, [i for i, c in enumerate(shown) if c not in self.numeric])
+        columns = [c for c in (columns or range(len(self.head))) if c != below]
+        cells = [[line[c] for c in columns] for line in (self.head, *self.rows)]
+        widths = _widths(cells, [i for i, c in enumerate(columns) if c not in self.numeric])
         out = []
         for row, line in enumerate(cells, -1):
-            broken = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
-                      for cell, width in zip(line, widths, strict=True))
-            for k, parts in enumerate(zip_longest(*broken, fillvalue='')):
+            wrapped_cells = (textwrap.wrap(cell, width) if len(cell) > width else [cell]
+                             for cell, width in zip(line, widths, strict=True))
+            for k, parts in enumerate(zip_longest(*wrapped_cells, fillvalue='')):
                 padded = (part.rjust(width) if c in self.numeric else part.ljust(width)
-                          for part, width, c in zip(parts, widths, shown, strict=True))
+                          for part, width, c in zip(parts, widths, columns, strict=True))
                 mark = '*' if row == self.marked and not k else ' '
                 out.append(mark + '  '.join(padded).rstrip())
             if row >= 0 and below is not None:
@@ -139,7 +139,7 @@ def errors(tree: Tree) -> Table:
     """The held-out error of everything that predicts."""
     error = tree['error']
     same = error.get('reference') == error.get('after')
-    shown = {**error, 'reference': None} if same else error
+    figures = {**error, 'reference': None} if same else error
     rows = [
         [name, number(error.get(key), 4), _span(error.get(f'{key}_interval_95')),
          number(error.get(f'one_step_{key}'), 4) if f'one_step_{key}' in error else '']
@@ -150,7 +150,7 @@ def errors(tree: Tree) -> Table:
                           ('measurement noise', 'noise_floor'),
                           ('in the loop, base', 'closed_loop_before'),
                           ('in the loop, completed', 'closed_loop_after'))
-        if shown.get(key) is not None and (tree['effects'] or 'completed' not in name)
+        if figures.get(key) is not None and (tree['effects'] or 'completed' not in name)
     ]
     windows = f', {error["windows"]} windows' if error.get('windows') else ''
     return Table(['model', 'free run', '95 % interval', 'one step'],
@@ -270,10 +270,10 @@ def _became(item: Tree) -> str:
         return f'not tested: {item["because"]}'
     if item['outcome'] == 'added':
         return 'tried and added'
-    beside, best = ' + '.join(item['with']), item['best']
+    partners, best = ' + '.join(item['with']), item['best']
     return (
         f'tried and not added: log evidence over the base {number(item["log_evidence_over_base"])}'
-        f'{f" (with {beside})" if beside else ""}, where '
+        f'{f" (with {partners})" if partners else ""}, where '
         f'{" + ".join(best["effects"]) or "the base alone"} has '
         f'{number(best["log_evidence_over_base"])}'
     )
@@ -301,7 +301,7 @@ def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     from quad_sysid.loop.cascade import contract_names  # seconds, which other tables need not
 
     figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
-    units = {name: shown_in(units_of(axis), GAIN_UNITS[field])[0]
+    units = {name: unit_and_factor(units_of(axis), GAIN_UNITS[field])[0]
              for field, name in contract_names(axis).items() if field in GAIN_UNITS}
     rows = [
         [name, number(figures.get(f'{name}_before', active.get(name)), 4),

@@ -27,8 +27,8 @@ def lines(report: Mapping[str, Any]) -> list[str]:
         parts.append(_warnings('warnings', [w for w in tree['warnings'] if count[w] == 1]))
         models = tables.models(tree)
         loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
-        shown = [0, 1, *range(2, min(loop, 6)), loop]
-        parts.append(models.text(shown, outcome, caption=False))
+        columns = [0, 1, *range(2, min(loop, 6)), loop]
+        parts.append(models.text(columns, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
         out += [line for part in parts if part for line in ('', *part)]
     parts = [tables.aircraft(report).text((0, 1, 2)),

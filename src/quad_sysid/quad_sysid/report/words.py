@@ -112,8 +112,8 @@ def named(effect: Tree) -> str:
         late = f'follows what the {rest[-1]} has lately been'
         return f'a {term} that {"warms up" if rest[-1] == "time" else late}'
     second = variant.partition('with ')[2]
-    beside = f' and the {second}' if second else ''
-    return f'a {term} that depends on the {rest[-1]}{beside}'
+    suffix = f' and the {second}' if second else ''
+    return f'a {term} that depends on the {rest[-1]}{suffix}'
 
 
 def likeliest(effect: Tree) -> str:
@@ -167,27 +167,29 @@ def on_this_flight(tree: Tree) -> str:
     """Words on a stored model's error on another flight; '' where it has no effects and does."""
     names, error = [effect.name for effect in tree['effects']], tree['error']
     before, after, hold = error['before'], error['after'], error['hold_last_value']
-    lower_pct, said = 100.0 * (1.0 - after / before), []
+    lower_pct, sentences = 100.0 * (1.0 - after / before), []
     if after >= hold:
-        said.append('On this flight the model predicts no better than holding the last value '
-                    f'({number(after)} to {number(hold)} {error["unit"]}).')
+        sentences.append('On this flight the model predicts no better than holding the last value '
+                         f'({number(after)} to {number(hold)} {error["unit"]}).')
     if names:
-        said.append(f'On this flight {joined(names)} '
-                    f'{lowered(lower_pct, several=len(names) > 1)}.')
+        sentences.append(f'On this flight {joined(names)} '
+                         f'{lowered(lower_pct, several=len(names) > 1)}.')
     if after >= hold or lower_pct <= -UNSEEN_PCT:
-        said.append('The model does not hold here: is it the same aircraft, as it was?')
+        sentences.append('The model does not hold here: is it the same aircraft, as it was?')
     elif (own := error.get('own')) and after > WORSE * own[0] * max(1.0, hold / own[1]):
-        said.append(f'Its error is {100.0 * after / hold:.0f} % of the motion here and was '
-                    f'{100.0 * own[0] / own[1]:.0f} % on the held-out part of its own flight: is '
-                    'it the same aircraft, as it was?')
-    return ' '.join(said)
+        sentences.append(f'Its error is {100.0 * after / hold:.0f} % of the motion here and was '
+                         f'{100.0 * own[0] / own[1]:.0f} % on the held-out part of its own '
+                         'flight: is it the same aircraft, as it was?')
+    return ' '.join(sentences)
 
 
 def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
-        return style, 'Was missing: ' + joined([*dict.fromkeys(map(likeliest, tree['effects']))])
+        effects = [*dict.fromkeys(map(likeliest, tree['effects']))]
+        text = f'{joined(effects)} {"was" if len(effects) == 1 else "were"} missing'
+        return style, text[0].upper() + text[1:]
     if tree['verdict'] == 'no_missing_effect' and any(
             rung['answer'] for rung in tree.get('explanation', ())):
         return 'none', 'No missing effect is confirmed'
@@ -320,7 +322,7 @@ def _gains(axis: str, tree: Tree) -> str:
         label, unit, factor = figure(key, axis)
         old, new = figures.get(f'{key}_before'), figures.get(key)
         if old is not None and new is not None:
-            changes.append(f'{label} {number(old * factor)} to {number(new * factor)} {unit}')
+            changes.append(f'{label} from {number(old * factor)} to {number(new * factor)} {unit}')
     because = f' In simulation with this model: {", ".join(changes)}.' if changes else ''
     return f'{listed}.{because}'
 

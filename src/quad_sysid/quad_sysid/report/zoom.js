@@ -12,8 +12,8 @@ const ticks = (low, high, most) => {
   const raw = (high - low) / Math.max(most, 1), power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map(k => k * power).find(s => s >= raw) || power * 10;
   const out = [];
-  for (let v = Math.ceil(low / step) * step; v <= high + 1e-9 * step; v += step) out.push(v);
-  return [out, step];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) out.push(k * step);
+  return out.length < 2 ? ticks(low, high, 2 * most) : [out, step];  // one alone shows no scale
 };
 const text = (v, step) => v.toFixed(Math.max(0, Math.min(6, -Math.floor(Math.log10(step) + 1e-9))));
 
@@ -122,12 +122,11 @@ class Group {
     this.draw();
   }
   read(t) {
-    const parts = [];
-    for (const {row} of this.rows) for (const line of row.lines) {
+    const parts = this.rows.map(({row}) => row.label + ': ' + row.lines.map(line => {
       const i = Math.floor(t / (this.data.dt * line.every)) * (line.every > 1 ? 2 : 1), v = line.values[i];
-      if (v !== undefined && v !== LOST) parts.push(line.name + ' ' + (line.offset + v * line.scale).toPrecision(3));
-    }
-    this.say.textContent = t.toFixed(3) + ' s: ' + parts.join(', ');
+      return line.name + ' ' + (v === undefined || v === LOST ? '–' : (line.offset + v * line.scale).toPrecision(3));
+    }).join(', '));
+    this.say.textContent = t.toFixed(3) + ' s; ' + parts.join('; ');
   }
   range(line) {
     const pair = line.every > 1 ? 2 : 1, bin = this.data.dt * line.every;

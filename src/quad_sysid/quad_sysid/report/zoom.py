@@ -74,9 +74,9 @@ def group(rows: Sequence[Row], dt: float, marks: Sequence[Mark] = (),
     names = escape('; '.join(f'{row.label}: {", ".join(line.name for line in row.lines)}'
                              for row in rows))
     text = json.dumps(data, separators=(',', ':'), allow_nan=False).replace('<', '\\u003c')
-    fine = '' if every == 1 else f' Drawn by the lowest and highest of {every} samples each.'
+    note = '' if every == 1 else f' Drawn by the lowest and highest of {every} samples each.'
     return (f'<div class="zoom" aria-label="{names}"><script type="application/json">{text}'
-            f'</script></div><p class="small">{HELP}{fine}</p>')
+            f'</script></div><p class="small">{HELP}{note}</p>')
 
 
 def _line(line: Line, every: int) -> dict[str, object]:

@@ -143,8 +143,8 @@ class Rival:
 
     def parts(self, data: AxisData) -> list[Part]:
         """Variants of the effect, as an identification would try them on this flight."""
-        prepared = ((effect, effect.prepare(data)) for effect in self.variants)
-        return [Part(effect, s) for effect, s in prepared if not isinstance(s, str)]
+        settings = ((effect, effect.prepare(data)) for effect in self.variants)
+        return [Part(effect, s) for effect, s in settings if not isinstance(s, str)]
 
 
 @dataclass(frozen=True)
@@ -304,17 +304,17 @@ def _check(names: Names, seconds: float, effects: Sequence[Effect]) -> None:
 def _sized(aircraft: Aircraft, names: Names, model: AxisModel | None, rich: Excitation,
            target_nats: float, effects: Sequence[Effect]) -> tuple[Rival, Rival]:
     """Both rivals with their strengths; an unknown one gets as much evidence as the known."""
-    judged_flight = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
+    rich_flight = judged(aircraft, fly(aircraft, aircraft.acting, [rich])[0].data)
     placed = [None if model is None else effect_of(model, name) for name in names]
-    evidence = max((judged_flight.trace(acting) for acting in placed if acting is not None),
+    evidence = max((rich_flight.trace(acting) for acting in placed if acting is not None),
                    default=target_nats)
     out = []
     for name, known_effect in zip(names, placed, strict=True):
         acting = known_effect
         if acting is None and name != NOTHING:
-            part = _prepared(name, judged_flight.problem.data, effects)
+            part = _prepared(name, rich_flight.problem.data, effects)
             price = PER_PARAMETER * min(len(part.effect.parameters), 4)
-            acting = judged_flight.sized(part, max(evidence, target_nats + price))
+            acting = rich_flight.sized(part, max(evidence, target_nats + price))
         out.append(Rival(name, acting, variants(name, effects)))
     return out[0], out[1]
 
@@ -335,7 +335,7 @@ class _Flights:
 
     def __init__(self, aircraft: Aircraft, first: Rival, second: Rival) -> None:
         self.aircraft, self.rivals = aircraft, (first, second)
-        self.seen: dict[int, tuple[JudgedFlight, JudgedFlight]] = {}
+        self.judged_pairs: dict[int, tuple[JudgedFlight, JudgedFlight]] = {}
 
     def rows(self, excitations: Sequence[Excitation],
              progress: Progress = lambda _: None) -> list[Row | None]:
@@ -357,10 +357,10 @@ class _Flights:
         peak = max(flight.peak_angle for flight in pair)
         if not peak <= ANGLE_SHARE * Limits().angle_rad:
             return None
-        seen = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
-        if not (seen[0].identified and seen[1].identified):
+        pair_judged = judged(self.aircraft, pair[0].data), judged(self.aircraft, pair[1].data)
+        if not (pair_judged[0].identified and pair_judged[1].identified):
             return None
-        self.seen[id(excitation)] = seen
+        self.judged_pairs[id(excitation)] = pair_judged
         row = Row(excitation, None, None, peak, max(flight.rate_rms for flight in pair))
         return self._weighed(row, JudgedFlight.linear)
 
@@ -369,16 +369,16 @@ class _Flights:
         return self._weighed(row, JudgedFlight.fitted)
 
     def _weighed(self, row: Row, evidence: Callable[[JudgedFlight, Sequence[Part]], float]) -> Row:
-        ways: list[Apart | None] = []
-        for seen, true, other in zip(self.seen[id(row.excitation)], self.rivals, self.rivals[::-1],
-                                     strict=True):
-            data = seen.problem.data
+        outcomes: list[Apart | None] = []
+        for flight, true, other in zip(self.judged_pairs[id(row.excitation)], self.rivals,
+                                       self.rivals[::-1], strict=True):
+            data = flight.problem.data
             if true.acting is None:
-                ways.append(None)
+                outcomes.append(None)
                 continue
-            nats = evidence(seen, [true.acting.part])
-            other_nats = evidence(seen, other.parts(data))
-            seconds = sum(b - a for a, b in seen.problem.spans) * data.dt
+            nats = evidence(flight, [true.acting.part])
+            other_nats = evidence(flight, other.parts(data))
+            seconds = sum(b - a for a, b in flight.problem.spans) * data.dt
             share = 1.0 if nats <= 0.0 else min(max(other_nats / nats, 0.0), 1.0)
-            ways.append(Apart(nats - other_nats, share, seconds))
-        return replace(row, first=ways[0], second=ways[1])
+            outcomes.append(Apart(nats - other_nats, share, seconds))
+        return replace(row, first=outcomes[0], second=outcomes[1])

@@ -164,10 +164,11 @@ def _flown(aircraft: Aircraft, acting: Sequence[ActingEffect], around: Sequence[
         structure=Structure(tuple(effect.part for effect in acting)),
     )
     torque, gyro = _noise(aircraft, added[0].shape[1])
-    wanted, at_rate, at_control = np.stack(added, axis=1)
+    reference, at_rate, at_control = np.stack(added, axis=1)
     run = simulate_cascade(
         [replace(plant, around=_known(data), steady=False) for data in around], aircraft.gains,
-        wanted, aircraft.dt, gyro, torque, rate_excitation=at_rate, control_excitation=at_control)
+        reference, aircraft.dt, gyro, torque, rate_excitation=at_rate,
+        control_excitation=at_control)
     flights = []
     for i, data in enumerate(around):
         control = data.control.copy()

@@ -83,8 +83,8 @@ class JudgedFlight:
 
     def _ranked(self, parts: Sequence[Part]) -> list[Score]:
         """The linear scores of those rivals that are physical, best first."""
-        fresh = [part for part in parts if part.effect.label not in self.scores]
-        for score in screen(self.problem, self.base, fresh) if fresh else []:
+        new_parts = [part for part in parts if part.effect.label not in self.scores]
+        for score in screen(self.problem, self.base, new_parts) if new_parts else []:
             self.scores[score.part.effect.label] = score
         scores = (self.scores.get(part.effect.label) for part in parts)
         return sorted((s for s in scores if s is not None), key=lambda s: -s.nats)

@@ -11,7 +11,7 @@ from quad_sysid.separation.flight import THROTTLE_STEP, THROTTLE_STEP_S, Excitat
 from quad_sysid.signals.design import mount_line
 from quad_sysid.signals.schedule import AMPLITUDES, Part
 
-SHOWN = 8
+MOST_ROWS = 8
 NOTICED = 0.01
 """Shares that differ by less are the same to a reader."""
 WIDTH = 80
@@ -35,9 +35,9 @@ def _lines(result: Separation) -> Iterator[str]:
     yield ''
     yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
     yield ROW.format('', f'flight of {result.seconds:g} s', '°', 'first', 'second', 'one', 'after')
-    for number, row in enumerate(result.rows[:SHOWN], 1):
+    for number, row in enumerate(result.rows[:MOST_ROWS], 1):
         yield _row(str(number), row, result.seconds)
-    if result.plain not in result.rows[:SHOWN]:
+    if result.plain not in result.rows[:MOST_ROWS]:
         yield _row('', result.plain, result.seconds)
     yield ''
     yield from textwrap.wrap(
@@ -45,12 +45,12 @@ def _lines(result: Separation) -> Iterator[str]:
         'the true one. right one: probability that the true one has the larger evidence. '
         '95 % after: seconds until that probability is 95 %.', WIDTH,
     )
-    shown = [row.excitation for row in result.rows[:SHOWN]]
-    if any(e.before is not None for e in shown):
+    excitations = [row.excitation for row in result.rows[:MOST_ROWS]]
+    if any(e.before is not None for e in excitations):
         yield '+P: after a plain PRBS for a third of the time, which identifies the base.'
-    if any(e.throttle_steps for e in shown):
+    if any(e.throttle_steps for e in excitations):
         yield '+T: the pilot steps the throttle.'
-    if any(e.others_move for e in shown):
+    if any(e.others_move for e in excitations):
         yield '+A: the pilot moves the other two axes.'
     if result.refused:
         yield from textwrap.wrap(

@@ -151,9 +151,9 @@ def design_excitation(low_rad_s: float, high_rad_s: float, sample_rate_hz: float
         raise BadInputError('--seconds', f'must lie in {shortest:.3g} s (a period of HIGH, and '
                             f'the ramps) to {MAX_DURATION_S:g} s', train_s)
     clocks = 1.0 / (low_rad_s * samples / sample_rate_hz)
-    wanted = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
+    ideal = round(math.log2(4.0 * clocks + 1.0)) if train_s is None else \
         math.ceil(math.log2(2.0 * math.pi * clocks + 1.0))
-    bits = min(max(wanted, min(TAPS)), max(TAPS))
+    bits = min(max(ideal, min(TAPS)), max(TAPS))
     period_s = (2**bits - 1) * samples / sample_rate_hz
     middle = math.sqrt(low_rad_s * high_rad_s)
     return Design(low_rad_s=low_rad_s, high_rad_s=high_rad_s, sample_rate_hz=sample_rate_hz,
@@ -172,13 +172,13 @@ def _reach(d: Design) -> str:
         return f'{covered}; too short for a fit, which takes --seconds {FIT_S:g} at least'
     if d.flown_low_rad_s <= d.low_rad_s:
         return covered
-    needed = math.ceil(max(2.0 * math.pi / (SPARED * d.low_rad_s), LEAST_TRAIN_S))
-    if needed > MAX_DURATION_S:
-        remedy = f'that takes {needed} s; a segment lasts at most {MAX_DURATION_S:g} s: raise LOW'
+    least_s = math.ceil(max(2.0 * math.pi / (SPARED * d.low_rad_s), LEAST_TRAIN_S))
+    if least_s > MAX_DURATION_S:
+        remedy = f'that takes {least_s} s; a segment lasts at most {MAX_DURATION_S:g} s: raise LOW'
     elif d.low_rad_s * (2 ** max(TAPS) - 1) * d.clock_s < 2.0 * math.pi:
         remedy = f'a register has at most {max(TAPS)} bits: fly a second schedule of lower HIGH'
     else:
-        remedy = f'--seconds {needed} does'
+        remedy = f'--seconds {least_s} does'
     return f'{covered}, which does not reach LOW ({d.low_rad_s:g} rad/s): {remedy}'
 
 

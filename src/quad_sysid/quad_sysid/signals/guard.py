@@ -125,8 +125,8 @@ def _attitude(limits: Limits, r: Readings, axis: str, yaw_start: float) -> Itera
         yield Abort('/imu/data has no orientation: the angle cannot be watched')
         return
     roll, pitch, yaw = r.angles
-    turned = math.remainder(yaw - yaw_start, 2.0 * math.pi) if axis == 'yaw' else 0.0
-    for name, angle in zip(AXES, (roll, pitch, turned), strict=True):
+    yaw_change = math.remainder(yaw - yaw_start, 2.0 * math.pi) if axis == 'yaw' else 0.0
+    for name, angle in zip(AXES, (roll, pitch, yaw_change), strict=True):
         if abs(angle) > limits.angle_rad:
             yield Abort(f'{name} of {math.degrees(angle):.1f}° is beyond '
                         f'{math.degrees(limits.angle_rad):.0f}°')

@@ -196,9 +196,9 @@ def _mapping(value: object, where: str, keys: Sequence[str], what: str) -> Mappi
     """`value` as a mapping without keys other than `keys`."""
     if not isinstance(value, Mapping):
         raise BadInputError(where, f'{what} must hold {", ".join(keys)}', repr(value))
-    strange = [str(key) for key in value if key not in keys]
-    if strange:
-        raise BadInputError(where, f'unknown key {shortened(", ".join(strange))}',
+    unknown = [str(key) for key in value if key not in keys]
+    if unknown:
+        raise BadInputError(where, f'unknown key {shortened(", ".join(unknown))}',
                             remedy=f'{what} takes {", ".join(keys)}')
     return value
 

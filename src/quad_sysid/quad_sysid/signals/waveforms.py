@@ -136,8 +136,8 @@ class Multisine:
         k = np.arange(1, last - first + 2)
         omega: FloatArray = 2.0 * np.pi / self.period_s * np.arange(first, last + 1.0)
         phase: FloatArray = -np.pi * k * (k - 1) / len(k)
-        fine = np.linspace(0.0, self.period_s, 16 * (last + 1), endpoint=False)
-        peak = float(np.abs(np.cos(np.outer(fine, omega) + phase).sum(axis=1)).max())
+        grid = np.linspace(0.0, self.period_s, 16 * (last + 1), endpoint=False)
+        peak = float(np.abs(np.cos(np.outer(grid, omega) + phase).sum(axis=1)).max())
         return omega, phase, peak * 1.01
 
     def at(self, time_s: float) -> float:
@@ -188,9 +188,9 @@ def waveform(name: str, parameters: Mapping[str, object], where: str) -> Wavefor
         raise BadInputError(where, 'signal is unknown', repr(name), f'use {", ".join(SIGNALS)}')
     kind = SIGNALS[name]
     names = parameter_names(name)
-    strange = [key for key in parameters if key not in names]
-    if strange:
-        raise BadInputError(where, f'unknown key {shortened(", ".join(strange))} for {name}',
+    unknown = [key for key in parameters if key not in names]
+    if unknown:
+        raise BadInputError(where, f'unknown key {shortened(", ".join(unknown))} for {name}',
                             remedy=f'it takes {", ".join(names) or "none"}')
     numbers = {key: _number(value, key, where) for key, value in parameters.items()}
     try:

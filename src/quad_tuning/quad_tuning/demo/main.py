@@ -125,12 +125,12 @@ def fresh_folder(folder: Path) -> Path | None:
 
     Raises FileExistsError where `folder` is a file.
     """
-    aside = None
+    backup = None
     if folder.is_dir() and any(folder.iterdir()):
-        aside = free_folder(folder)
-        folder.rename(aside)
+        backup = free_folder(folder)
+        folder.rename(backup)
     folder.mkdir(parents=True, exist_ok=True)
-    return aside
+    return backup
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -151,10 +151,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     out = options.out.absolute()
     try:
-        aside = fresh_folder(out)
+        backup = fresh_folder(out)
         console = Console()
-        if aside is not None:
-            console.say(f'kept the results of an earlier run as {aside.name}')
+        if backup is not None:
+            console.say(f'kept the results of an earlier run as {backup.name}')
         lockstep = options.lockstep or options.qemu
         for line in run_demo(out, options.seed, console, lockstep=lockstep, qemu=options.qemu):
             sys.stdout.write(line + '\n')

@@ -26,7 +26,7 @@ from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.start import listen_by_udp
 from quad_tuning.demo.processes import StageFailedError
 
-PATIENCE_S = 1200.0
+TIMEOUT_S = 1200.0
 """Real time that anything may take in lockstep: what takes longer hangs."""
 
 
@@ -85,7 +85,7 @@ class Observer:
         In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about
         ten times a second and may raise (a process that died).
         """
-        timeout_s = max(timeout_s, PATIENCE_S) if self._clock.simulated else timeout_s
+        timeout_s = max(timeout_s, TIMEOUT_S) if self._clock.simulated else timeout_s
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:

@@ -63,9 +63,9 @@ def own_domain() -> Iterator[int]:
     raise OSError('no free ROS domain id between 1 and 100 on this machine')
 
 
-def _in_use(domain: int, offset: int, held: contextlib.ExitStack, host: str = '') -> bool:
-    """Whether somebody has this port of a domain; else `held` keeps it."""
-    port = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+def _in_use(domain: int, offset: int, sockets: contextlib.ExitStack, host: str = '') -> bool:
+    """Whether somebody has this port of a domain; else `sockets` keeps it."""
+    port = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     try:
         port.bind((host, PORT_BASE + PORT_GAIN * domain + offset))
     except OSError:
@@ -73,7 +73,7 @@ def _in_use(domain: int, offset: int, held: contextlib.ExitStack, host: str = ''
     return False
 
 
-STOP_PATIENCE_S = 8.0
+STOP_TIMEOUT_S = 8.0
 """How long a process may take to end after SIGINT before it is killed."""
 
 
@@ -200,7 +200,7 @@ class Crew:
         running = [child for child in chosen if not child.ended]
         for child in running:
             _signal_group(child, signal.SIGINT)
-        deadline = time.monotonic() + STOP_PATIENCE_S
+        deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in running:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.process.wait(max(0.0, deadline - time.monotonic()))

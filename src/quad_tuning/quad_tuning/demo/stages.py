@@ -171,9 +171,9 @@ def await_new_gains(campaign: Campaign, old: Mapping[str, float]) -> float:
     observer = campaign.observer
     if not str(campaign.status.get('update')).startswith('sent'):
         raise StageFailedError('update', f'no gains were sent: {campaign.status.get("update")}')
-    wanted = {name: float(value) for name, value in json.loads(campaign.status['gains']).items()}
-    if not changed(old, wanted):
+    target = {name: float(value) for name, value in json.loads(campaign.status['gains']).items()}
+    if not changed(old, target):
         raise StageFailedError('update', 'the gains that were sent are the ones already flown')
     campaign.wait('update', 'acknowledgement on /gains/active',
-                  lambda: not changed(observer.active_gains, wanted), ACKNOWLEDGE_S)
+                  lambda: not changed(observer.active_gains, target), ACKNOWLEDGE_S)
     return max(0.0, observer.gains_time - campaign.requested_s)

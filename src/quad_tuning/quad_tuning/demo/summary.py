@@ -169,11 +169,11 @@ def _answer_rows(outcome: Outcome) -> list[str]:
 
 
 def _gains(outcome: Outcome) -> list[str]:
-    shown = [name
+    names = [name
              for name in outcome.second.gains
              if name.startswith(f'{outcome.axis}.') and name.split('.')[-1] in {'kp', 'ki', 'kd'}]
     table = [row('gains', f'{"":16s}{"before":>10s}{"after":>10s}')]
-    for name in sorted(shown):
+    for name in sorted(names):
         old = outcome.first.gains.get(name, math.nan)
         unit = ROWS[name].unit
         table.append(row('', f'{name:16s}{old:10.4g}{outcome.second.gains[name]:10.4g}  {unit}'))

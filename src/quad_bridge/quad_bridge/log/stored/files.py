@@ -73,8 +73,8 @@ def plain_message(data: bytes) -> bytes:
 def plain_file(file: Path) -> Iterator[Path]:
     """The file, or a decompressed copy of one that is compressed as a whole."""
     with file.open('rb') as stream:
-        packed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-    if not packed:
+        is_compressed = stream.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+    if not is_compressed:
         yield file
         return
     with tempfile.TemporaryDirectory() as folder:

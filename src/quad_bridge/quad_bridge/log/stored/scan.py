@@ -55,8 +55,8 @@ _UNPACK: dict[bytes, Callable[[bytes], bytes]] = {
 """Decompressors by the name of the compression in MCAP."""
 _UNPACK_PART: dict[bytes, Callable[[bytes], bytes]] = {
     b'': bytes,
-    b'zstd': lambda packed: zstd.ZstdDecompressor().decompress(packed),
-    b'lz4': lambda packed: lz4.frame.LZ4FrameDecompressor().decompress(packed),
+    b'zstd': lambda compressed: zstd.ZstdDecompressor().decompress(compressed),
+    b'lz4': lambda compressed: lz4.frame.LZ4FrameDecompressor().decompress(compressed),
 }
 """Decompressors for content whose end is missing."""
 
@@ -132,7 +132,7 @@ class McapScan:
                     self.unread += len(body)
         self.lost = self._count_lost()
 
-    def batches(self, wanted: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
+    def batches(self, select: Callable[[Topic], bool]) -> Iterator[dict[str, list[bytes]]]:
         """Data of the wanted topics' messages, by topic, in batches."""
         unpack, begin_of = struct.Struct('<BQH').unpack_from, RECORD.size + MESSAGE_HEAD.size
         batch: dict[str, list[bytes]] = {}
@@ -150,7 +150,7 @@ class McapScan:
                         sinks[channel].append(content[begin + begin_of : position])
                         continue
                     topic = self._named(channel)
-                    if topic is not None and wanted(topic):
+                    if topic is not None and select(topic):
                         sinks[channel] = batch.setdefault(topic.name, [])
                         sinks[channel].append(content[begin + begin_of : position])
                     else:
@@ -211,14 +211,14 @@ class McapScan:
         """End of the record here, None where there is no intact one, and what it adds."""
         data, opcode = self.data, self.data[position]
         end = end_of(data, position, stop)
-        followed = end is not None and (
+        is_whole = end is not None and (
             end == stop or data[end] == CHUNK or end_of(data, end, stop) is not None
         )
         if opcode == CHUNK:
-            content = None if end is None else _content(data, position, end, unchecked=followed)
+            content = None if end is None else _content(data, position, end, unchecked=is_whole)
             self.bad_chunks += content is None
             return (None, b'') if content is None else (end, content)
-        if end is None or not followed or (opcode == MESSAGE and not self._plain):
+        if end is None or not is_whole or (opcode == MESSAGE and not self._plain):
             return None, b''
         self.ended = self.ended or opcode in {DATA_END, FOOTER}
         self.unread += (opcode >= PRIVATE) * (end - position)  # it may have been a chunk
@@ -228,13 +228,13 @@ class McapScan:
 
     def _cut_off(self, position: int) -> bytes:
         """Whole messages of the last chunk, if its end is missing or was never written."""
-        name, packed = _packed(self.data, position, len(self.data))
-        written, content = packed.rstrip(b'\0'), b''
-        present = len(self.data) - position - RECORD.size - (len(packed) - len(written))
-        if not written or RECORD.unpack_from(self.data, position)[1] <= present:
+        name, compressed = _compressed(self.data, position, len(self.data))
+        body, content = compressed.rstrip(b'\0'), b''
+        present = len(self.data) - position - RECORD.size - (len(compressed) - len(body))
+        if not body or RECORD.unpack_from(self.data, position)[1] <= present:
             return b''  # it is all there, and damaged
         with suppress(*UNPACK_ERRORS, KeyError):
-            content = bytes(_UNPACK_PART[name](written))
+            content = bytes(_UNPACK_PART[name](body))
         *_, checksum, _ = CHUNK_HEAD.unpack_from(self.data, position + RECORD.size)
         if not checksum or zlib.crc32(content) != checksum:  # else the compression's end is cut
             self.unchecked = sum(opcode == MESSAGE for opcode, _ in _split(content))
@@ -255,7 +255,7 @@ class McapScan:
         return self.unnamed if self.stated is None else max(self.stated - self.returned, 0)
 
 
-def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
+def _compressed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
     """Compression's name and compressed content of a chunk."""
     start = position + RECORD.size + CHUNK_HEAD.size
     if start > end:
@@ -267,10 +267,10 @@ def _packed(data: Data, position: int, end: int) -> tuple[bytes, bytes]:
 def _content(data: Data, position: int, end: int, *, unchecked: bool) -> bytes | None:
     """The records of a chunk, None where they are damaged; `unchecked`: without a checksum too."""
     *_, checksum, _ = CHUNK_HEAD.unpack_from(data, position + RECORD.size)
-    name, packed = _packed(data, position, end)
+    name, compressed = _compressed(data, position, end)
     if checksum or unchecked:
         with suppress(*UNPACK_ERRORS, KeyError):
-            content = bytes(_UNPACK[name](packed))
+            content = bytes(_UNPACK[name](compressed))
             return content if not checksum or zlib.crc32(content) == checksum else None
     return None
 
