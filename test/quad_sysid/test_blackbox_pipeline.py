@@ -21,7 +21,7 @@ from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
 from quad_sysid.pipeline.advice import _between_flights, _beyond
 from quad_sysid.pipeline.assemble import Support
-from quad_sysid.pipeline.blackbox_part import box_jenkins, fit_models
+from quad_sysid.pipeline.blackbox_part import box_jenkins, fit_models, select, window_error
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.record import GainChange, IOData, Record, Segment
 from quad_sysid.report import document, text
@@ -107,6 +107,18 @@ def test_every_structure_stands_in_the_table_and_the_selected_one_finds_the_plan
     true = 450.0 / abs((3j + 0.4) * (0.04 * 3j + 1.0))
     found = frequency_response(row.step_a.model, w).magnitude[0]
     assert abs(found / true - 1.0) < 0.03
+
+
+def test_a_structure_that_claims_no_white_residual_is_not_selected_for_passing_alone(roll):
+    rows = tuple(
+        dataclasses.replace(row, step_a=dataclasses.replace(
+            row.step_a, eliminated_because='' if row.step_a.model.structure == 'IV4' else 'it'))
+        for row in roll.rows)
+    data = roll.findings.data
+    errors = [window_error(data, row.step_a.model, data.train) or np.inf for row in rows]
+    chosen = select(rows, data)
+    assert errors[chosen] == min(errors)
+    assert not rows[chosen].step_a.passed_first_step
 
 
 def test_order_and_delay_are_the_plants_where_the_command_feels_the_rate_of_its_own_cycle():

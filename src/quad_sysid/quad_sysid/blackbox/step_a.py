@@ -47,6 +47,11 @@ class StepARow:
         """Whether the model was not rejected."""
         return not self.eliminated_because
 
+    @property
+    def holds(self) -> bool:
+        """Whether it passed and its noise model holds, which not every structure claims."""
+        return self.passed_first_step and self.test.residual_white
+
     def as_report(self) -> dict[str, object]:
         """Build the entry of report.json's `models`."""
         return {

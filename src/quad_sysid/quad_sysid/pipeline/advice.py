@@ -184,10 +184,10 @@ def _selection(answer: AxisAnswer, no_step_b: str) -> Iterator[str]:
     row = None if answer.selected is None else answer.rows[answer.selected]
     if row is None:
         yield 'every black-box model is unstable; none was selected'
-    elif not row.step_a.passed_first_step:
+    elif not row.step_a.holds:
         yield (
-            'no black-box model passed the first step; the selected one has the least error over '
-            'windows of the training data'
+            'no black-box model with a white residual passed the first step; the selected one has '
+            'the least error over windows of the training data'
         )
     elif not row.passed_second_step and not no_step_b:
         yield 'no black-box model passed the second step; the selected one passed the first'

@@ -204,15 +204,15 @@ def rows_of(z: IOData, data: AxisData, models: tuple[Model, ...]) -> tuple[Model
 def select(rows: tuple[ModelRow, ...], data: AxisData) -> int | None:
     """Index of the lowest BIC among the rows that passed most; None where all are unstable.
 
-    Where none passed the first step the least error over windows of the training is taken, since
-    then no model of the noise, on which BIC rests, holds. Training data alone decide between the
-    rows: validation may reject a model but never rank it.
+    Where none with a white residual passed the first step the least error over windows of the
+    training is taken, since then no model of the noise, on which BIC rests, holds. Training data
+    alone decide between the rows: validation may reject a model but never rank it.
     """
     stable = [
         i for i, row in enumerate(rows)
         if row.step_a.model.stable and row.step_a.bic is not None
     ]
-    first = [i for i in stable if rows[i].step_a.passed_first_step]
+    first = [i for i in stable if rows[i].step_a.holds]
     second = [i for i in first if rows[i].passed_second_step]
     if first:
         return min(second or first, key=lambda i: rows[i].step_a.bic or 0.0)
