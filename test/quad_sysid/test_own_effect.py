@@ -17,6 +17,7 @@ import quad_sysid as qs
 from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import STILL, linear
+from quad_sysid.model.checked import checked
 from quad_sysid.report import html, plots
 from quad_tuning.cli import main as tune
 
@@ -93,6 +94,18 @@ def test_one_of_an_installed_package_is_among_ours(tmp_path):
     assert 'cogging' in done.stdout.split(), done.stderr
 
 
+class Late(Cogging):
+    """The same a tenth of a second later; the size of its parameter follows from the flight."""
+
+    states = 1
+
+    def torque(self, s, p, _):
+        return -p[0] * s.hidden[0]
+
+    def advance(self, x, s, *_):
+        return x + 10.0 * s.dt * (np.sin(12.0 * s.angle) - x)
+
+
 class Unmeasured(Cogging):
     """What needs a signal that the flight lacks."""
 
@@ -105,7 +118,7 @@ class Unmeasured(Cogging):
 
 @pytest.mark.usefixtures('quick')
 def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
-    result = qs.identify(plain_flight, 'roll', effects=(Cogging(), Unmeasured()))
+    result = qs.identify(plain_flight, 'roll', effects=(Late(), Unmeasured()))
     tree = result.report['axes']['roll']
     lost, not_tested = tree['own_effects']
     assert (lost['name'], lost['outcome']) == ('cogging', 'not_added')
@@ -133,6 +146,10 @@ def test_it_is_linearised_designed_for_and_separated(result):
     assert main(words) == 2
 
 
+def test_ours_would_be_accepted_from_anybody():
+    assert checked(qs.EFFECTS, 'ours') == qs.EFFECTS
+
+
 def like(torque=Cogging.torque, **changes):
     """A class like Cogging, another torque or other fields in it."""
     return type('Mine', (Cogging,), {'torque': torque, **changes})
@@ -150,6 +167,15 @@ def like(torque=Cogging.torque, **changes):
         ((like(lambda *given: -given[2][0])(),), '`torque` must give an array like s.rate'),
         ((like(lambda _, s, p, __: p[0] * np.sqrt(s.rate))(),), '`torque` must be finite'),
         ((like(lambda _, s, p, __: s.rate * p[0] ** 2)(),), 'not linear in its parameters'),
+        ((like(lambda _, s, p, __: p[0] * np.gradient(s.rate))(),), '`torque` must take each sam'),
+        ((like(lambda _, s, p, __: np.multiply(p[0], s.rate, s.rate))(),), 'array is read-only'),
+        ((like(command=lambda _, __, p, ___: p[0])(),), '`command` must give an array like s.ra'),
+        ((like(actuate=lambda _, drive, *__: drive.lag)(),), "no attribute 'commands'"),
+        ((like(advance=lambda _, x, *__: x[0], states=2)(),), '(500,) for (2, 500)'),
+        ((like(advance=lambda _, x, s, *__: x + np.sqrt(s.rate), states=1)(),), '`advance` must'),
+        ((like(prepare=lambda *_: None)(),), 'is not a mapping'),
+        ((like(parameters=2 * Cogging.parameters)(),), 'two parameters have one name'),
+        ((like(parameters=(qs.Spec('torque', 'rad/s²', log=True),))(),), '`spread` must be a pos'),
     ],
 )
 def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(

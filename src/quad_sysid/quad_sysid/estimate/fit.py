@@ -202,10 +202,12 @@ class Problem:
         if effect.label not in self._sizes:
             sizes = np.array([spec.spread for spec in effect.parameters], dtype=float)
             free = np.flatnonzero(np.isnan(sizes))
-            # the values of a curve are of one size
-            units = [effect.size(self._reference, j, part.settings)[self.rows]
-                     for j in (free[:1] if effect.kind == 'shape' else free)]
-            sizes[free] = [0.5 * self.acceleration / high(unit) for unit in units]
+            if free.size:
+                s = self.flight.hidden(part, self._reference, effect.centre())
+                # the values of a curve are of one size
+                units = [effect.size(s, j, part.settings)[self.rows]
+                         for j in (free[:1] if effect.kind == 'shape' else free)]
+                sizes[free] = [0.5 * self.acceleration / high(unit) for unit in units]
             self._sizes[effect.label] = sizes
         return self._sizes[effect.label]
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from quad_sysid.contract import motors_from_wrench
+from quad_sysid.contract import FloatArray, motors_from_wrench
 from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData, axis_alone
-from quad_sysid.model.effect import Effect, Signals, Spec
+from quad_sysid.model.effect import ActingEffect, Effect, Part, Signals, Spec, required
 from quad_sysid.model.flight import Flight
+from quad_sysid.model.plant import drive_of
 from quad_sysid.model.structure import Structure
 
 SIGNALS = (
@@ -66,42 +68,93 @@ def _check_fields(effect: Effect, where: str) -> None:
         if signal not in SIGNALS:
             raise BadInputError(where, '`signals` holds an unknown one', repr(signal),
                                 f'there are {", ".join(SIGNALS)}')
+    names = [spec.name for spec in effect.parameters]
+    if len(set(names)) < len(names):
+        raise BadInputError(where, 'two parameters have one name', ', '.join(names))
+    for spec in effect.parameters:
+        follows = spec.spread is None and not spec.log
+        if not (follows or 0.0 < (spec.spread or 0.0) < math.inf):
+            raise BadInputError(where, f'{spec.name}: `spread` must be a positive number',
+                                spec.spread, 'leave it out only where `torque` is linear in it')
     if not effect.name or not isinstance(effect.name, str):
         raise BadInputError(where, 'has no name', remedy="such as name = 'my_effect'")
 
 
 def _try(effect: Effect, where: str) -> None:
-    """Raise BadInputError where its torque is no array of accelerations, or not linear."""
+    """Raise BadInputError where its laws give no arrays like their signals, or are not linear."""
     linear = np.array([spec.spread is None for spec in effect.parameters])
     start = effect.centre()
     data, s = _made_up()
     steps = np.where(linear, [[1.0], [0.3]], 0.0) * (1.0 + np.arange(start.size))
     try:
         settings = effect.prepare(data)
-        if isinstance(settings, str) or effect.states:
+        if isinstance(settings, str) or max(effect.motors, default=0) >= MOTORS:
             return
+        part = Part(effect, {**settings})
         with np.errstate(all='ignore'):
-            first, other, joint = (
-                effect.torque(s, start + step, settings) for step in (*steps, steps.sum(axis=0))
-            )
+            first, other, joint = (_laws(part, start + step, s)
+                                   for step in (*steps, steps.sum(axis=0)))
+            some = _laws(part, start + steps[0], s.at(SOME))
     except Exception as error:
         raise BadInputError(where, 'cannot be evaluated', f'{type(error).__name__}: {error}',
                             'see docs/extend.md') from error
-    if first is None or other is None or joint is None:
-        if not effect.moves_command or linear.any():
-            raise BadInputError(where, 'adds no torque to which its parameters belong',
-                                remedy='write `torque`, or `command` with a `spread` for each')
-        return
-    if np.shape(first) != s.rate.shape:
-        raise BadInputError(where, '`torque` must give an array like s.rate',
-                            f'{np.shape(first)} for {s.rate.shape}')
-    if not np.isfinite([first, joint]).all():
-        raise BadInputError(where, '`torque` must be finite', 'NaN or infinity',
-                            'mind rates of 0 and below')
-    if linear.any() and not np.allclose(joint, first + other, rtol=1e-6, atol=1e-9):
+    if 'torque' not in first and (not effect.moves_command or linear.any()):
+        raise BadInputError(where, 'adds no torque to which its parameters belong',
+                            remedy='write `torque`, or `command` with a `spread` for each')
+    for name, given in first.items():
+        rows = {'torque': (), 'command': (), 'advance': first.get('begin', given).shape[:1]}.get(
+            name, given.shape[:1])
+        if given.shape != (*rows, s.rate.size):
+            raise BadInputError(where, f'`{name}` must give an array like s.rate'
+                                + ', one for each state' * bool(rows),
+                                f'{given.shape} for {(*rows, s.rate.size)}')
+        if not np.isfinite([given, joint[name]]).all():
+            raise BadInputError(where, f'`{name}` must be finite', 'NaN or infinity',
+                                'mind rates of 0 and below')
+        if not np.allclose(given[..., SOME], some[name], rtol=1e-9, atol=1e-12):
+            raise BadInputError(where, f'`{name}` must take each sample by itself',
+                                'a result that depends on other samples',
+                                'keep what it remembers in `states`, which `advance` moves on')
+    if linear.any() and not np.allclose(joint['torque'], first['torque'] + other['torque'],
+                                        rtol=1e-6, atol=1e-9):
         names = ', '.join(spec.name for spec in effect.parameters if spec.spread is None)
         raise BadInputError(where, '`torque` is not linear in its parameters', names,
                             'give a `spread` to each that is an exponent, a limit or a frequency')
+
+
+MOTORS = 4
+"""Of the made-up craft."""
+SOME = np.arange(500)[::-3]
+"""Samples of the made-up signals, in an order of their own."""
+
+
+def _laws(part: Part, p: FloatArray, s: Signals) -> dict[str, FloatArray]:
+    """What an effect makes of signals (n,), which it may not change, by the names of its laws."""
+    effect, made = part.effect, dict[str, FloatArray]()
+    if effect.wanders:
+        s = s.replaced(hidden=np.ones((1, *s.time.shape)))
+    elif effect.states:
+        made['begin'] = np.array(effect.begin(_fixed(s), p, part.settings))
+        s = s.replaced(hidden=made['begin'])
+        made['advance'] = np.array(effect.advance(made['begin'], _fixed(s), p, part.settings))
+        s = s.replaced(hidden=made['advance'])
+    torque = effect.torque(_fixed(s), p, part.settings)
+    if torque is not None:
+        made['torque'] = np.asarray(torque)
+    if effect.moves_command:
+        made['command'] = np.asarray(effect.command(s, p, part.settings))
+        drive = drive_of([ActingEffect(part, p)], s, lambda *_: s.hidden)
+        made['actuate'] = np.concatenate([drive.commands, drive.lag, required(drive.ages)])
+    return made
+
+
+def _fixed(s: Signals) -> Signals:
+    """The signals, whose arrays cannot be written to from now on."""
+    for value in vars(s).values():
+        for array in value if isinstance(value, tuple) else (value,):
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+    return s
 
 
 def _made_up() -> tuple[AxisData, Signals]:

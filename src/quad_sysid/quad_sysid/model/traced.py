@@ -254,6 +254,10 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         """Sum over an axis, as by `ndarray.sum`."""
         return _sum(self, axis)
 
+    def __getattr__(self, name: str) -> Any:
+        """Any other method of an array, such as `clip`."""
+        raise (AttributeError if name.startswith('__') else Untraceable)(name)
+
     def __bool__(self) -> bool:
         raise Untraceable('a branch on a value')
 
