@@ -8,6 +8,7 @@ import pytest
 from flown_axis import LONGER, SHORT, Axis, fly
 
 import quad_sysid as qs
+from quad_sysid.model.effect import Signals
 
 DT = 0.004
 STICKING = Axis(torque=lambda _t, rate, _a: -6.0 * math.tanh(rate / 0.005))
@@ -131,6 +132,15 @@ def test_a_hidden_state_of_a_step_is_followed(answer):
     assert found.model.parameters['motor.gain'].value == pytest.approx(22.5, rel=0.04)
 
 
+def test_a_law_may_use_the_methods_of_arrays_on_its_hidden_states():
+    slow = qs.Base('slow', ('rate', 'drive'), parameters=(qs.Quantity('limit', '1/s', 1.0),),
+                   rhs=lambda x, u, p: {'rate': x['drive'], 'drive': (
+                       u['u'] - x['drive']).clip(-p['limit'], p['limit'])})
+    t = 0.01 * np.arange(50)
+    s = Signals.at_rest(t, t, lagged=np.full(50, 3.0), dt=0.01)
+    np.testing.assert_allclose(slow.law().trace(s, np.ones(1), {}, ((0, 50),)), [t], atol=1e-12)
+
+
 def test_what_the_data_cannot_give_is_named_with_its_partner_before_the_fit():
     rig = qs.Base('rig', ('rate',), keep=('lag', 'delay'), parameters=(
         qs.Quantity('inertia', 'kg m²', 0.02), qs.Quantity('arm', 'N m per V', 0.4),
@@ -148,11 +158,13 @@ def test_what_the_data_cannot_give_is_named_with_its_partner_before_the_fit():
     ({'rhs': None}, 'needs one of rhs and step'),
     ({'rhs': lambda *_: {'speed': 0.0}}, "law cannot be evaluated: found KeyError: 'rate'"),
     ({'rhs': lambda *seen: seen[2]['mass']}, "found KeyError: 'mass'"),
+    ({'rhs': lambda *seen: {'rate': np.sqrt(seen[1]['u'])}}, 'its law must be finite'),
+    ({'rhs': lambda *seen: {'rate': np.mean(seen[1]['u'])}}, 'law must take each sample by it'),
     ({'keep': ('mass',)}, "keep must be among gain, lag, delay, damping, bias: found 'mass'"),
     ({'output': 'speed'}, "output must be among rate: found 'speed'"),
     ({'inputs': ('u', 'wind')}, "inputs must be among battery, throttle, time: found 'wind'"),
     ({'parameters': (qs.Quantity('gain', '1', -1.0),)}, 'gain must start at a positive number'),
-], ids=range(8))
+], ids=range(10))
 def test_a_base_that_is_none_is_refused_in_one_line(refusal, changes, words):
     known = {'name': 'rig', 'states': ('rate',), 'parameters': RIG.parameters, 'rhs': law}
     assert words in refusal(qs.Base, **{**known, **changes})

@@ -24,6 +24,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.estimate.fit import Fit, Problem, derivative_steps, start_of
 from quad_sysid.model import LAW
+from quad_sysid.model.checked import tried
 from quad_sysid.model.data import AxisData, Span
 from quad_sysid.model.effect import Effect, Part, Settings, Signals, Spec, required
 from quad_sysid.model.structure import BASE
@@ -108,19 +109,7 @@ class Base:
             if word not in allowed:
                 raise BadInputError(where, f'{name} must be among '
                                     f'{", ".join(filter(None, allowed))}', repr(word))
-        self._try(where)
-
-    def _try(self, where: str) -> None:
-        """Raise BadInputError where the law gives no derivative of each state that needs one."""
-        zeros = dict.fromkeys((*self.states, *self.inputs), np.zeros(2))
-        try:
-            slopes = self.moved(zeros, zeros, {p.name: p.start for p in self.parameters}, 0.01)
-            for name in (self.output, *self.hidden):
-                np.broadcast_to(np.asarray(slopes[name], dtype=float), 2)
-        except Exception as error:
-            raise BadInputError(where, 'its law cannot be evaluated',
-                                f'{type(error).__name__}: {error}',
-                                'it takes x, u, p by name and returns a dict') from error
+        tried(self.law(), where, 'it takes x, u, p by name and returns a dict')
 
     def law(self, units: Units | None = None) -> Effect:
         """The law as a stored model needs it: from_json(text, effects=(base.law(),)).
@@ -219,10 +208,9 @@ class _Law(Effect):
                first: Sequence[FloatArray]) -> FloatArray:
         """As Effect, from number to number."""
         named, out = self._named(p), np.zeros((self.states, s.time.size))
-        x, u = ({name: value.tolist() for name, value in signal.items()}
-                for signal in self._seen(s, settings))
+        x, u = self._seen(s, settings)
         for (start, stop), begin in zip(stretches, first, strict=True):
-            hidden: Any = begin.tolist()
+            hidden = [*begin]
             for k in range(start, stop):
                 out[:, k] = hidden
                 hidden = self._step(hidden, {name: value[k] for name, value in x.items()},

@@ -1,4 +1,4 @@
-"""Effects of a user's own, each tried on made-up signals before any flight is: `checked`."""
+"""Effects of a user's own, each tried on made-up signals before any flight is read: `checked`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.model.data import AxisData, axis_alone
 from quad_sysid.model.effect import ActingEffect, Effect, Part, Signals, Spec, required
 from quad_sysid.model.flight import Flight
+from quad_sysid.model.identified import LAW
 from quad_sysid.model.plant import drive_of
 from quad_sysid.model.structure import Structure
 
@@ -50,7 +51,7 @@ def checked(effects: object, where: str, library: Sequence[Effect] = ()) -> tupl
         accepted[effect.label] = effect
         if effect is not other:
             _check_fields(effect, f'{where}: {type(effect).__name__}')
-            _try(effect, f'{where}: {type(effect).__name__}')
+            tried(effect, f'{where}: {type(effect).__name__}')
     return tuple(accepted.values())
 
 
@@ -80,8 +81,11 @@ def _check_fields(effect: Effect, where: str) -> None:
         raise BadInputError(where, 'has no name', remedy="such as name = 'my_effect'")
 
 
-def _try(effect: Effect, where: str) -> None:
-    """Raise BadInputError where its laws give no arrays like their signals, or are not linear."""
+def tried(effect: Effect, where: str, remedy: str = 'see docs/extend.md') -> None:
+    """Raise BadInputError where its laws give no arrays like their signals, or are not linear.
+
+    `remedy`: what helps where one cannot be evaluated.
+    """
     linear = np.array([spec.spread is None for spec in effect.parameters])
     start = effect.centre()
     data, s = _made_up()
@@ -96,25 +100,26 @@ def _try(effect: Effect, where: str) -> None:
                                    for step in (*steps, steps.sum(axis=0)))
             some = _laws(part, start + steps[0], s.at(SOME))
     except Exception as error:
-        raise BadInputError(where, 'cannot be evaluated', f'{type(error).__name__}: {error}',
-                            'see docs/extend.md') from error
+        raise BadInputError(where, 'its law cannot be evaluated',
+                            f'{type(error).__name__}: {error}', remedy) from error
     if 'torque' not in first and (not effect.moves_command or linear.any()):
         raise BadInputError(where, 'adds no torque to which its parameters belong',
                             remedy='write `torque`, or `command` with a `spread` for each')
     for name, given in first.items():
         rows = {'torque': (), 'command': (), 'advance': first.get('begin', given).shape[:1]}.get(
             name, given.shape[:1])
+        law = 'its law' if effect.kind == LAW else f'`{name}`'
         if given.shape != (*rows, s.rate.size):
-            raise BadInputError(where, f'`{name}` must give an array like s.rate'
+            raise BadInputError(where, f'{law} must give an array like s.rate'
                                 + ', one for each state' * bool(rows),
                                 f'{given.shape} for {(*rows, s.rate.size)}')
         if not np.isfinite([given, joint[name]]).all():
-            raise BadInputError(where, f'`{name}` must be finite', 'NaN or infinity',
+            raise BadInputError(where, f'{law} must be finite', 'NaN or infinity',
                                 'mind rates of 0 and below')
         if not np.allclose(given[..., SOME], some[name], rtol=1e-9, atol=1e-12):
-            raise BadInputError(where, f'`{name}` must take each sample by itself',
+            raise BadInputError(where, f'{law} must take each sample by itself',
                                 'a result that depends on other samples',
-                                'keep what it remembers in `states`, which `advance` moves on')
+                                'what it remembers are its `states`')
     if linear.any() and not np.allclose(joint['torque'], first['torque'] + other['torque'],
                                         rtol=1e-6, atol=1e-9):
         names = ', '.join(spec.name for spec in effect.parameters if spec.spread is None)
