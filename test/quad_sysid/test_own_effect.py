@@ -6,11 +6,12 @@ import math
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
 import pytest
-from flown_axis import SHORT, UNSEEN, Axis, fly
+from flown_axis import SHORT, UNSEEN, Axis, fly, model_of
 from node_process import python
 
 import quad_sysid as qs
@@ -18,6 +19,7 @@ from quad_sysid.cli import main
 from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import STILL, linear
 from quad_sysid.model.checked import checked
+from quad_sysid.pipeline import identify
 from quad_sysid.report import html, plots
 from quad_tuning.cli import main as tune
 
@@ -182,3 +184,16 @@ def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(
     tmp_path, refusal, effects, words
 ):
     assert words in refusal(qs.identify, tmp_path / 'none', 'roll', effects=effects)
+
+
+@pytest.mark.parametrize(('given', 'words'), [
+    ({'roll.rate.kp': 0.06}, "the designer gave {'roll.rate.kp': 0.06} instead of a GainProposal"),
+    (qs.GainProposal({'roll.rate.kp': math.nan}), 'what is no gain of roll: roll.rate.kp = nan'),
+    (qs.GainProposal({'pitch.rate.kp': 0.06}), 'what is no gain of roll: pitch.rate.kp = 0.06'),
+    (qs.GainProposal({'roll.rate.kp': np.float32(0.06)}), ''),
+])
+def test_what_a_designer_of_ones_own_gives_is_gains_of_its_axis_or_refused(given, words):
+    options = identify.Options(designer=lambda _: given)
+    proposal = identify._proposal(SimpleNamespace(axis='roll'), model_of(), options, str)
+    assert words in proposal.refused_because
+    assert (proposal is given) == (not words)

@@ -5,9 +5,11 @@ Calls the packages in the order of the data's line and nothing else; decides whi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from numbers import Real
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -334,6 +336,12 @@ def _proposal(answer: AxisAnswer, model: AxisModel, options: Options,
         return GainProposal(None, options.no_designer_because if options.base is None
                             else 'gains are designed for the built-in base only')
     try:
-        return options.designer(model.predicting)
+        proposal = options.designer(model.predicting)
     except QuadSysidError as error:
         return GainProposal(None, str(error))
+    if not isinstance(proposal, GainProposal):
+        return GainProposal(None, f'the designer gave {proposal!r} instead of a GainProposal')
+    wrong = [f'{name} = {value}' for name, value in (proposal.gains or {}).items() if not (
+        name.startswith(f'{answer.axis}.') and isinstance(value, Real) and math.isfinite(value))]
+    return proposal if not wrong else GainProposal(
+        None, f'the designer gave what is no gain of {answer.axis}: {", ".join(wrong)}')
