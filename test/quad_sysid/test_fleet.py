@@ -50,6 +50,10 @@ def same(rows):
 def test_bags_and_logs_are_found_with_their_aircraft(folder, tmp_path, refusal):
     found = [(job.name, job.aircraft) for job in bag.jobs(folder, tmp_path)]
     assert found == [('one/flight', 'one'), ('two/flight', 'two'), ('two/torn', 'two')]
+    (tmp_path / 'linked' / 'three').mkdir(parents=True)
+    (tmp_path / 'linked' / 'three' / 'flight').symlink_to(folder / 'one' / 'flight')
+    (tmp_path / 'linked' / 'three' / 'back').symlink_to(tmp_path)
+    assert [job.name for job in bag.jobs(tmp_path / 'linked', 'o')] == ['three/flight']
     (tmp_path / 'logs').mkdir()
     for name in ('b.ULG', 'a.bbl.gz', 'c.csv'):
         (tmp_path / 'logs' / name).write_text('a log')

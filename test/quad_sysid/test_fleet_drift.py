@@ -119,6 +119,10 @@ def test_few_flights_and_equal_ones_are_no_alarm():
     rows = [row | {key: copies.rows[0][key] for key in row if key.startswith(('roll', 'pitch'))}
             for row in copies.rows]
     assert alarms(Fleet(rows)) == ([], [])
+    twice = Fleet([row | {'bag': row['bag'] + end} for row in rows for end in ('', '_copy')])
+    assert [q.statistics for q in twice.quantities] == [
+        q.statistics for q in Fleet(rows).quantities]
+    assert 'copies: craft_00/0_copy of craft_00/0, craft' in ' '.join(str(twice).split())
     assert 'Nothing is said of drift' in ' '.join(str(Fleet(rows[:3])).split())
 
 

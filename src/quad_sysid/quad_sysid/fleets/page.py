@@ -125,10 +125,25 @@ class Fleet:
                 if row['status'] in (FAILED, CANNOT_TELL)]
 
     @cached_property
+    def answered(self) -> dict[str, list[Row]]:
+        """By its first bag, each flight with an answer: the rows of all bags that hold it.
+
+        Copies are bags of one aircraft that begin at the same time and give the same model.
+        """
+        flights: dict[tuple[object, ...], list[Row]] = {}
+        for row in self.flights:
+            if row['status'] == ANSWERED:
+                model = (f'{row.get(f"{axis}_{name}") or 0.0:.5g}' for axis in EVERY
+                         for name in BASE)
+                start = row.get('start_ns', row['bag'])
+                flights.setdefault((row['aircraft'], start, *model), []).append(row)
+        return {rows[0]['bag']: rows for rows in flights.values()}
+
+    @cached_property
     def lacks(self) -> list[tuple[str, str, str, int, int]]:
         """Aircraft, axis, effect, number of flights that show it, number of flights answered."""
         out = []
-        answered = [row for row in self.flights if row['status'] == ANSWERED]
+        answered = [row for row, *_ in self.answered.values()]
         for craft, axis in sorted({(row['aircraft'], axis) for row in answered for axis in EVERY}):
             flights = [row for row in answered if row['aircraft'] == craft
                        and row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
@@ -163,8 +178,8 @@ class Fleet:
     def _series(self) -> Iterator[tuple[str, str, str, tuple[Series, ...]]]:
         """Axis, name, unit and the series of each aircraft."""
         for axis in EVERY:
-            flights = [row for row in self.flights if row['status'] == ANSWERED
-                       and row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
+            flights = [row for row, *_ in self.answered.values()
+                       if row.get(f'{axis}_verdict') not in (None, CANNOT_TELL)]
             units, values = _values(axis, flights)
             for name, of_bag in values.items():
                 by_craft: dict[str, list[tuple[float, str, float, float]]] = {}
@@ -263,11 +278,8 @@ def _lines(fleet: Fleet) -> list[str]:
             # a terminal has room for these columns of the means
             out += ['', *table.text((0, 1, 3, 5, 6, 7) if table is means else None)]
     if fleet.unanswered:
-        names, more = [bag for bag, _ in fleet.unanswered[:MOST_NAMES]], ''
-        if len(fleet.unanswered) > MOST_NAMES:
-            more = f' and {len(fleet.unanswered) - MOST_NAMES} more'
-        out += ['', *wrapped(f'without an answer: {", ".join(names)}{more}; the table has the '
-                             'reasons', '  ', '')]
+        names = _few([bag for bag, _ in fleet.unanswered])
+        out += ['', *wrapped(f'without an answer: {names}; the table has the reasons', '  ', '')]
     return out
 
 
@@ -286,7 +298,16 @@ def _counts(fleet: Fleet) -> str:
     craft = len({row['aircraft'] for row in fleet.flights} - {''}) or 1
     counts = ', '.join(f'{count} {name.replace("_", " ")}' for name, count in fleet.counts.items())
     since = f' since {fleet.since}' if fleet.since else ''
-    return f'{len(fleet.flights)} bags of {craft} aircraft{since}: {counts}.'
+    copies = [f'{copy["bag"]} of {bag}' for bag, (_, *more) in fleet.answered.items()
+              for copy in more]
+    once = f' Flights count once; copies: {_few(copies)}.' if copies else ''
+    return f'{len(fleet.flights)} bags of {craft} aircraft{since}: {counts}.{once}'
+
+
+def _few(names: Sequence[str]) -> str:
+    """The first of the names, and how many more there are."""
+    more = f' and {len(names) - MOST_NAMES} more' if len(names) > MOST_NAMES else ''
+    return ', '.join(names[:MOST_NAMES]) + more
 
 
 def _tables(fleet: Fleet) -> tuple[Table, Table, Table]:

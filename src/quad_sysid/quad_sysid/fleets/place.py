@@ -38,7 +38,7 @@ class Place:
             self.address = str(self.path.resolve())
 
     def files(self) -> dict[str, tuple[int, str]]:
-        """Every file below, sorted: its size and when it was changed.
+        """Every file below, behind links too, sorted: its size and when it was changed.
 
         A folder that cannot be opened stands there as a file of no size.
         """
@@ -51,7 +51,8 @@ class Place:
                 files[name] = int(about['size']), str(mark)
             return dict(sorted(files.items()))
         closed: list[OSError] = []
-        for root, _, names in os.walk(self.path, onerror=closed.append):
+        for root, folders, names in os.walk(self.path, onerror=closed.append, followlinks=True):
+            folders[:] = [name for name in folders if not _leads_back(Path(root, name))]
             for path in (Path(root, name) for name in names):
                 try:
                     about = path.stat()
@@ -139,6 +140,11 @@ class Place:
 
     def _in_store(self, name: str) -> str:
         return f'{self._root}/{name}'
+
+
+def _leads_back(folder: Path) -> bool:
+    """Whether it is a link to a folder in which it lies."""
+    return folder.is_symlink() and folder.resolve() in {one.resolve() for one in folder.parents}
 
 
 def _opened(address: str) -> tuple[Any, str]:
