@@ -182,6 +182,17 @@ def test_commands_of_all_axes_and_thrust(options, tmp_path):
     assert not record.rates[:, 1].any()
 
 
+@pytest.mark.parametrize(('angle', 'words'), [
+    ((), 'speed and position are left out'), (('angle',), 'the heading is not known'),
+])
+def test_a_speed_over_the_ground_needs_the_attitude(options, tmp_path, angle, words):
+    imported(replace(options, angle=angle, reference=(), rate_reference=(),
+                     velocity=MOTORS[:3]), tmp_path / 'bag')
+    record = read_bag(tmp_path / 'bag')
+    assert (record.velocity is None) == (not angle)
+    assert any(words in line for line in record.warnings)
+
+
 def test_a_rate_is_made_of_a_heading_that_wraps_without_phase_shift(tmp_path):
     t = DT * np.arange(N)
     heading = 3.0 + 1.5 * np.sin(2.0 * t)

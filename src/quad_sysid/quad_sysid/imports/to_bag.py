@@ -157,7 +157,8 @@ def record_of(
                     acceleration=clock.drawn_on(log.acceleration, grid.times),
                     attitude_setpoint=clock.held_on(log.attitude_setpoint, grid.times, grid.dt),
                     rate_setpoint=clock.held_on(log.rate_setpoint, grid.times, grid.dt),
-                    battery_v=volts_on(log.battery, grid.times), **_moved(log, grid, angles),
+                    battery_v=volts_on(log.battery, grid.times),
+                    **_moved(log, grid, angles, warnings),
                     gains=gains_of(log, gains, float(grid.times[0])))
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
@@ -288,14 +289,23 @@ def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatAr
     return joined(log.speeds.time_s, log.speeds.values, grid.times)
 
 
-def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None) -> dict[str, Any]:
+def _moved(log: ForeignLog, grid: Cycles, angles: FloatArray | None,
+           warnings: list[str]) -> dict[str, Any]:
     """Speed along the heading and altitude, in the cycles in which they were logged."""
     velocity, position = log.velocity, log.position
     if velocity is None and position is not None and len(position.time_s) > 2:
         slope = np.gradient(position.values, position.time_s, axis=0)
         velocity = Stream(position.time_s, np.asarray(slope))
-    if velocity is None or angles is None or len(velocity.time_s) < 2:
+    if velocity is None or len(velocity.time_s) < 2:
         return {}
+    if angles is None:
+        if log.angles is None:
+            warnings.append('speed and position are left out, since the bag holds them by the '
+                            'attitude: log the angles of roll, pitch and yaw')
+        return {}
+    if 'yaw' not in log.axes:
+        warnings.append('the heading is not known and counts as 0: surge and sway are right only '
+                        'where the aircraft pointed along x; add the angle of yaw')
     out = {'velocity': turned(_in_cells(velocity, grid), -angles[:, 2])}
     if position is not None:
         out['altitude'] = _in_cells(position, grid)[:, 2]
