@@ -193,6 +193,21 @@ def test_a_speed_over_the_ground_needs_the_attitude(options, tmp_path, angle, wo
     assert any(words in line for line in record.warnings)
 
 
+@pytest.mark.parametrize('option', ['velocity', 'position'])
+def test_a_speed_that_nothing_flies_is_refused_and_what_is_advised_mends_it(
+    options, tmp_path, refused, option
+):
+    up = 900.0 * columns()['rate']
+    table = {**columns(), **dict.fromkeys('xy', np.zeros(N)),
+             'z': up if option == 'velocity' else np.cumsum(up) * DT}
+    high = replace(options, file=text_table(tmp_path / 'mm.csv', table), **{option: (*'xyz',)})
+    error = refused(high)
+    assert 'column z: is faster than 100 m/s' in error
+    (advice,) = re.findall(r'--unit (z=mm\S*),', error)
+    imported(replace(high, units=parse_units([advice])), tmp_path / 'bag')
+    assert 1.0 < np.abs(read_bag(tmp_path / 'bag').velocity[:, 2]).max() < 3.0
+
+
 def test_a_rate_is_made_of_a_heading_that_wraps_without_phase_shift(tmp_path):
     t = DT * np.arange(N)
     heading = 3.0 + 1.5 * np.sin(2.0 * t)

@@ -131,6 +131,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
                for option in OPTIONS if option != 'time'}
     notes = [*table.notes, *_limited(options, units, table), *_in_our_frame(options, streams)]
     _unwrap(options, streams)
+    _check_speeds(options, units, streams)
     odd += _compared(options, units, streams)
     return ForeignLog(
         source=str(options.file), kind='a table', axes=options.axes,
@@ -451,6 +452,22 @@ def _compared(options: ColumnOptions, units: Mapping[str, Unit],
         if 'reference' in columns and 'angle' in columns:
             plausible.check_reference(columns['reference'], columns['angle'])
     return odd + plausible.check_extent(leaning)
+
+
+def _check_speeds(options: ColumnOptions, units: Mapping[str, Unit],
+                  streams: Mapping[str, Stream | None]) -> None:
+    """Check the unit of speeds, and of places by how fast they change over a window."""
+    for option, unit in (('velocity', 'mm/s'), ('position', 'mm')):
+        stream = streams[option]
+        if stream is None or len(stream.time_s) < 2:
+            continue
+        moved, over_s = stream.values, 1.0
+        if option == 'position':
+            wide = max(1, round(plausible.WINDOW_S * stream.rate_hz))
+            moved, over_s = moved[wide:] - moved[:-wide], plausible.WINDOW_S
+        for name, values, change in zip(options.names(option), stream.values.T, moved.T,
+                                        strict=True):
+            plausible.check_speed(_column(options, units, name, values), change / over_s, unit)
 
 
 def _check_angle(angle: Column, axis: str) -> None:

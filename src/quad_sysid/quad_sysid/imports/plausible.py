@@ -25,6 +25,8 @@ MAX_TURN_RAD = 0.5
 """Largest turn between two samples with which they show the motion."""
 FASTEST_RAD_S = 70.0
 """4000 deg/s, the widest full scale of gyros that fly."""
+FASTEST_M_S = 100.0
+"""Faster than anything that hovers."""
 WINDOW_S = 0.2
 """Window in which an angle's change is compared with the rate's integral: long against noise and
 filter lag, short against drift."""
@@ -126,6 +128,19 @@ def check_size(rate: Column) -> None:
             f'name its unit, such as {rate.advise("deg/s")}, '
             f'or {rate.advise(rate.unit.name)} if it is true',
         )
+
+
+def check_speed(column: Column, speed: FloatArray, unit: str) -> None:
+    """Raise BadInputError for a column without a stated unit by which nothing is so fast, m/s.
+
+    `unit`: that which it may have.
+    """
+    size = float(np.nanquantile(np.abs(speed), 0.99)) if speed.size else 0.0
+    if not column.named and size > FASTEST_M_S:
+        raise BadInputError(
+            column.where, f'is faster than {FASTEST_M_S:g} m/s', f'{size:.4g} m/s',
+            f'name its unit, such as {column.advise(unit)}, '
+            f'or {column.advise(column.unit.name)} if it is true')
 
 
 def check_rate(rate: Column, angle: Column | None, dt: float) -> list[str]:
