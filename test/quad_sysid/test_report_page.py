@@ -179,6 +179,11 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
     assert f'explains {effect["explains_pct"]:.0f} % of what the base misses' in sentence
     assert 'resampled flights' in sentence
     assert causes({**tree, 'effects': []}) == ''
+    for name, parameter, said in (
+            ('battery_sag', {'name': 'exponent', 'value': 2.11, 'unit': '1'}, '(exponent 2.11)'),
+            ('step_event', {'name': 'time', 'value': 18.0, 'unit': 's'}, 'in flight at 18 s')):
+        other = {**effect, 'name': name, 'parameters': [parameter]}
+        assert f'{said} explains' in causes({**tree, 'effects': [other]})
     assert tables.effects(tree).rows[0][-1] == f'-{effect["error_reduction_pct"]:.0f} %'
     first, *finer = tables.explanation(tree).rows
     assert first[1] == 'coulomb_friction'

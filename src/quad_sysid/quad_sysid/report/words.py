@@ -266,9 +266,11 @@ def causes(tree: Tree) -> str:
     """A sentence on the missing effects and their share of the error; '' without effects."""
     parts = []
     for effect in tree.get('effects', ()):
-        size = effect['parameters'][0] if effect['parameters'] else None
-        of = f' of {size["value"]:.3g} {size["unit"]}'.rstrip(' 1') if size and (
-            size['value'] and effect['kind'] == 'named') else ''
+        size, of = next(iter(effect['parameters']), None), ''
+        if size and size['value'] and effect['kind'] == 'named':
+            name, value = size['name'].replace('_', ' '), f'{size["value"]:.3g}'
+            of = f' ({name} {value})' if size['unit'] == '1' else \
+                f' {"at" if name == "time" else "of"} {value} {size["unit"]}'
         parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
     if not parts:
         return ''
