@@ -546,6 +546,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     assert browser.fits(390)
     browser.send('Page.navigate', url=(model.parent / 'report.html').as_uri())
     browser.until("document.querySelectorAll('figure svg text').length > 0")
+    browser.until("!!document.querySelector('.zoom')?.group")
     # on paper the bars of the ladder keep their ink, and nothing asks to be pressed
     browser.send('Emulation.setEmulatedMedia', media='print')
     assert browser.run("""(() => {

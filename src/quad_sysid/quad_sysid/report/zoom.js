@@ -159,7 +159,8 @@ class Group {
     g.textAlign = 'center'; g.textBaseline = 'top';
     for (const t of xs) { g.beginPath(); g.moveTo(X(t), 4); g.lineTo(X(t), 4 + height); g.stroke(); g.fillText(text(t, xstep) + (t === xs[xs.length - 1] ? ' s' : ''), X(t), h - BOTTOM + 5); }
     g.save(); g.beginPath(); g.rect(LEFT, 4, width, height); g.clip();
-    const shade = (a, b, name) => { g.globalAlpha = 0.15; g.fillStyle = colour(name); g.fillRect(X(a), 4, Math.max(1, X(b) - X(a)), height); g.globalAlpha = 1; };
+    const least = 4 * this.marks.length < width ? 1 : 0;  // so many that they overlap would add up to opaque
+    const shade = (a, b, name) => { g.globalAlpha = 0.15; g.fillStyle = colour(name); g.fillRect(X(a), 4, Math.max(least, X(b) - X(a)), height); g.globalAlpha = 1; };
     for (const m of this.marks) shade(m.start, m.end, m.colour);
     if (this.drag) shade(Math.min(...this.drag), Math.max(...this.drag), '--blue');
     for (const line of row.lines) {
