@@ -142,7 +142,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         publishers = ', '.join(sorted({node, *sources} - {bridge})) or 'another of that name'
         return f'{bridge} is not the only publisher of {topic}: {publishers}'
 
-    def _said_by(self, topic: str) -> list[str]:
+    def _publishers_of(self, topic: str) -> list[str]:
         """The nodes that publish a topic; the middleware may not know a name yet."""
         name = self.resolve_topic_name(topic.removeprefix('/'))
         return [
