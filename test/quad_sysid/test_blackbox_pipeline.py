@@ -128,6 +128,8 @@ def test_order_and_delay_are_the_plants_where_the_command_feels_the_rate_of_its_
     study = dataclasses.replace(study, truth=truth, samples=4000)
     fits = fit_models(study.record(np.random.default_rng(1)))
     assert (fits.nk, fits.order) == (study.truth.nk, 2)
+    short = dataclasses.replace(study, samples=240).record(np.random.default_rng(1))
+    assert fit_models(short).surest.structure == 'BJ'  # though no residual of it can be tested
 
 
 def test_box_jenkins_passes_the_first_step_behind_a_gyros_filter_in_any_unit():

@@ -429,7 +429,7 @@ class _Climb:
 
 def _share(trajectory: Trajectory, part: Part, q: FloatArray,
            residual: FloatArray) -> list[tuple[float, Part, FloatArray]]:
-    """The share of `left` (rows,) that a law explains from each of its starts, with its values."""
+    """The share of `residual` (rows,) that a law explains, and its values, from each start."""
     effect, linear, out = part.effect, linear_of(part), []
     for start in effect.starts(trajectory.problem.data, part.settings):
         p = coordinates(effect.parameters, start)
@@ -444,7 +444,7 @@ def _share(trajectory: Trajectory, part: Part, q: FloatArray,
 
 def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatArray, q: FloatArray,
                residual: FloatArray) -> tuple[float, FloatArray]:
-    """The share of `left` (rows,) that an effect explains at p, and its linear parameters.
+    """The share of `residual` (rows,) that an effect explains at p, and its linear parameters.
 
     Without any its acceleration counts in any size. q (rows, m): an orthonormal basis of what
     others explain as well.

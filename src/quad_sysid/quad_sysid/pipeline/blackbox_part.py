@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,8 +129,10 @@ def box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
     """
 
     def rank(model: Model) -> tuple[bool, bool, float]:
-        test = residual_test(z, model, fitted=True)
-        passed = test.residual_white and test.residual_uncorrelated_with_input
+        passed = False
+        with suppress(BadInputError):  # too few samples for a test
+            test = residual_test(z, model, fitted=True)
+            passed = test.residual_white and test.residual_uncorrelated_with_input
         # each fit has rows of its own: their number would count with the unit of the rate
         bic = z.n * math.log(model.loss) + model.parameters.size * math.log(z.n)
         return not model.converged, not passed, bic
