@@ -190,7 +190,9 @@ def test_a_bridge_that_ends_takes_back_what_nobody_would_watch(flying, name):
     line.fly(1.0)
     assert line.controller.parameters[p] > 1.3 * before
     line.updates.end('the node was deactivated')
+    assert not line.aircraft.at_rest
     line.fly(1.0)
+    assert line.aircraft.at_rest
     assert line.controller.parameters[p] == before
     assert line.updates.state is State.IDLE
     assert 'trial' not in line.kept()
@@ -293,8 +295,12 @@ def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, 
     line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
     line.fly(3.0)
     assert line.controller.parameters[p] != sound[p]
+    line.updates.restarted()
+    assert line.updates.state is State.IDLE
+    assert not line.aircraft.at_rest  # a bridge that ends now waits for the way back
     lose(line, max(gap_s, 1.5), opened=opened)
     assert line.controller.parameters == sound
+    assert line.aircraft.at_rest
 
 
 def lose(line, gap_s, *, opened):
@@ -583,8 +589,8 @@ def test_nothing_begins_without_hover_pilots_mode_fresh_line_and_allow(flying, n
         assert line.controller.target is None
 
     line = flying(name, gains=False, excitation=False)
-    refuses('are off: read docs/')
-    with pytest.raises(RefusedError, match='gains are off'):  # nor does a rollback write any
+    refuses('is off: read docs/')
+    with pytest.raises(RefusedError, match='gains is off'):  # nor does a rollback write any
         line.updates.ask({'roll.rate.kp': 0.05, 'rollback': True}, 1e-9 * line.now_ns)
     line.allow = (True, True)
     line.connect(Link())

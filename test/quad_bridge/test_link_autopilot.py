@@ -294,8 +294,8 @@ def test_a_program_beside_is_not_taken_for_the_aircraft(sender, beat):
 
 PUBLISHED = ('/imu/data', '/motors/command', '/motors/state', '/rc/in', '/imu/mag', '/baro',
              '/battery', '/robot_description')  # fmt: skip
-REFUSED = ('refused: ArduPilot: gains are off: read docs/ardupilot.md, then start the bridge with '
-           'gains:=allow')
+REFUSED = ('refused: ArduPilot: the parameter gains is off: read docs/ardupilot.md, then start '
+           'the bridge with gains:=allow')
 MISSING = 'ArduPilot sends standard MAVLink messages only: without QUAD_CYCLE there is no'
 
 

@@ -171,6 +171,9 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         known = {*NODES['serial_bridge'].hears, *own}
         probe.until(lambda: probe.opened('serial_bridge')[what] & known == {*names}, what)
 
+    def flies_new_gains():
+        return probe.answer(probe.set_gains({'roll.rate.kp': 0.1})).result.successful
+
     probe.until(lambda: '/serial_bridge' in probe.nodes())
     opens('offers')
     silent_after(CONFIGURE)
@@ -180,7 +183,7 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         goes(ACTIVATE)
         probe.until(lambda: len(heard) > 50)
         opens('hears', *NODES['serial_bridge'].hears)
-        probe.until(lambda: probe.answer(probe.set_gains({'roll.rate.kp': 0.1})).result.successful)
+        probe.until(flies_new_gains)
         assert far.controller.store.of(wire) == pytest.approx((0.1,))
         silent_after(DEACTIVATE)
         assert far.controller.store.of(wire) == flown  # nobody would watch the new ones
@@ -190,9 +193,12 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
     assert not probe.transition('/serial_bridge', ACTIVATE)  # not before configure
     for transition in (CONFIGURE, ACTIVATE):
         goes(transition)
-    probe.until(lambda: len(heard) > 50)
+    probe.until(flies_new_gains)
+    assert 'has not confirmed' not in node.said
+    far.close()
     for transition in (DEACTIVATE, CLEANUP, SHUTDOWN):
         goes(transition)
+    assert 'has not confirmed its old gains and mode' in node.said
     assert node.end() == 0
 
 

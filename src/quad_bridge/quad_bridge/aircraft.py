@@ -102,7 +102,7 @@ class Aircraft(ABC):
 
     @property
     def at_rest(self) -> bool:
-        """Whether an excitation that was ended has left nothing to put back."""
+        """Whether excitation and trial have left nothing that the bridge has to put back."""
         return True
 
     @abstractmethod

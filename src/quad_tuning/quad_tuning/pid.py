@@ -337,7 +337,7 @@ class _StalledError(Exception):
 
 def _slsqp(judged: Callable[[FloatArray], FloatArray], start: FloatArray,
            slack: FloatArray) -> FloatArray:
-    """Minimise judged[:, 0] subject to judged >= kept, of points (g, 5) of the unit cube."""
+    """Minimise judged[:, 0] subject to judged >= slack, of points (g, 5) of the unit cube."""
     path: list[FloatArray] = []
 
     def within(x: FloatArray) -> bytes:

@@ -27,7 +27,7 @@ AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 SWAP_S = 10.0  # silent for so long, it may be another one that is heard then
 RATE_CHANGE = 1.1  # by which the rate of the attitudes must change to count as another
-OFF = '{0} are off: read docs/{1}.md, then start the bridge with {0}:=allow'
+OFF = 'the parameter {0} is off: read docs/{1}.md, then start the bridge with {0}:=allow'
 
 
 class AutopilotAircraft(Aircraft):
@@ -133,8 +133,9 @@ class AutopilotAircraft(Aircraft):
 
     @property
     def at_rest(self) -> bool:
-        """Whether it has its pilot's mode and its own parameters of SYSTEM ID back."""
-        return all(mode.phase is type(mode.phase).IDLE for mode in self._modes)
+        """Whether it has its pilot's mode and its own parameters back, of trial and SYSTEM ID."""
+        is_idle = all(mode.phase is type(mode.phase).IDLE for mode in self._modes)
+        return is_idle and self.gains.at_rest
 
     def _end(self, reason: str) -> None:
         for mode in self._modes:

@@ -96,6 +96,11 @@ class ParameterGains:
         return '' if self.state in AT_REST else self.state.value
 
     @property
+    def at_rest(self) -> bool:
+        """Whether there is no good set that may have to be written back."""
+        return not self._good
+
+    @property
     def reading(self) -> bool:
         """Whether it has not been read as a whole yet."""
         return self.state is State.READING

@@ -81,7 +81,7 @@ class SystemId:
 
     def __init__(self, flight: FlightState, set_mode: Callable[[int], f.Command],
                  last_setpoint_s: Callable[[], float]) -> None:
-        """`heard_s`: when the schedule's last set-point came, s."""
+        """`last_setpoint_s`: when the schedule's last set-point came, s."""
         self.phase = Phase.IDLE
         self.refusal = ''  # why the last chirp did not begin, or ended early
         self.known: dict[str, float] = {}

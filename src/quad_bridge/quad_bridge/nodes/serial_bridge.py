@@ -222,18 +222,21 @@ class SerialBridge(ManagedNode):
             self._poll_gains(clock().now_ns())
             self._flush()
         until_s = time.monotonic() + BACK_S
-        while not self._at_rest() and time.monotonic() < until_s:
+        while not (at_rest := self._at_rest()) and time.monotonic() < until_s \
+                and self._port.status.state is PortState.OPEN:
             time.sleep(0.02)
         self._tell_notes()
+        if not at_rest:
+            self.get_logger().error(f'{self._link.name}: has not confirmed its old gains and mode '
+                                    'before the bridge ended: look at both')
         self._port.stop()
         self._worker.close()
         self._log_worker.close()
 
     def _at_rest(self) -> bool:
-        """Whether the aircraft has nothing left of a trial or an excitation, or is not there."""
+        """Whether the aircraft has nothing left of a trial or an excitation."""
         with self._lock:
-            back = self._gains.state is State.IDLE and self._present().at_rest
-            return back or self._port.status.state is not PortState.OPEN
+            return self._gains.state is State.IDLE and self._present().at_rest
 
     # Called in the port's thread.
 

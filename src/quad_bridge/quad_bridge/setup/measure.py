@@ -206,7 +206,7 @@ def divider(board_v: float, true_v: float, now: float) -> Values:
 
 
 def outputs(places: Mapping[int, int], now: Mapping[str, float]) -> Values:
-    """Which output drives which motor: `seen` has the place (1..4) of each motor that was spun."""
+    """Which output drives which motor: `places` (1..4) of each motor that was spun."""
     if sorted(places.values()) != [1, 2, 3, 4]:
         raise RefusedError(f'places {list(places.values())}: each of 1 to 4 once; spin them again')
     return {f'motors.output_{place}': now[f'motors.output_{motor}']
