@@ -56,6 +56,7 @@ def test_round_trip_is_exact(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ['model.json']
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(
     ('damage', 'said'),
     [
@@ -69,6 +70,10 @@ def test_round_trip_is_exact(tmp_path):
             name='shape:rate', variant='smooth', settings={'knots': [0.0, 1.0], 'mean': [0.0] * 6},
             parameters=[{**roll['effects'][0]['parameters'][0], 'name': f'y{i}'}
                         for i in range(6)]), 'settings with which an effect cannot run'),
+        (lambda _, roll: roll['effects'][0].update(
+            name='battery_sag', variant='', settings={'reference_v': 0.0},
+            parameters=[{**roll['effects'][0]['parameters'][0], 'name': 'exponent'}]),
+         'settings with which an effect cannot run'),
     ],
 )
 def test_a_damaged_file_is_named_in_one_line(tmp_path, refusal, damage, said):

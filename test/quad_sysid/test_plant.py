@@ -388,4 +388,4 @@ def test_python_control_begins_at_rest_and_its_time_goes_on(effect):
     t = DT * np.arange(250)
     u = 0.05 * np.sign(np.sin(9.0 * t))
     flown = control_system.input_output_response(model.to_control(), t, u).outputs[0]
-    np.testing.assert_allclose(flown, model.simulate(u), atol=0.02)
+    np.testing.assert_allclose(flown, model.simulate(u), atol=1e-5)

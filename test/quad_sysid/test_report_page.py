@@ -75,7 +75,7 @@ def test_the_page_begins_with_the_answer(written, answers):
     report = json.loads((written / 'report.json').read_text())
     text = page({**report, 'aircraft': {'facts': [fact], 'urdf': ''}}, answers,
                 {'roll': plots.Gallery({})})
-    assert 0 < text.index('Dry friction was missing') < text.index('1.20 ± 0.10')
+    assert 0 < text.index('The plain model lacks dry friction') < text.index('1.20 ± 0.10')
     assert 'URDF' not in text
 
 
@@ -116,7 +116,7 @@ def test_a_report_leaves_nothing_of_an_earlier_one(written, tmp_path):
 def test_every_figure_is_in_the_page_and_beside_it(answers, written):
     assert answers['roll'].verdict == 'effects_added'
     answer, rest = (written / 'report.html').read_text().split('<figure', 1)
-    for words in ('Dry friction was missing', 'roll.rate.kp 0.12'):  # words come before pictures
+    for words in ('The plain model lacks dry friction', 'roll.rate.kp 0.12'):  # before pictures
         assert words in answer
     assert 'coulomb_friction' in rest
     expected = {one.name for one in plots.PICTURES}

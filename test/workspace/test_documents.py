@@ -61,7 +61,7 @@ def test_what_is_made_for_the_site_stands_in_it(tmp_path: Path) -> None:
     for page, words in {
         'reference/api': ('read_bag', 'AxisModel', 'CascadeGains', 'import_log'),
         'reference/errors': ('must be a finite number', 'chmod 600', 'no such axis'),
-        'notebook': ('Dry friction was missing', *4 * ('<img',)),
+        'notebook': ('The plain model lacks dry friction', *4 * ('<img',)),
     }.items():
         text = (tmp_path / f'site/{page}.html').read_text()
         assert all(text.count(word) >= words.count(word) for word in words), page

@@ -136,7 +136,8 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     rest = flat(start)
 
     def update(t: float, x: FloatArray, u: FloatArray, _: object) -> FloatArray:
-        now = replace(flying.around, time=flying.around.time + t, sent=np.atleast_1d(u))
+        time = flying.around.time + t + 0.5 * model.dt  # its signals are those of mid-cycle
+        now = replace(flying.around, time=time, sent=np.atleast_1d(u))
         later = plant.step(unflat(x[:, None] + rest, start), plant.with_motors(now))
         return (flat(later) - rest)[:, 0]
 

@@ -228,8 +228,9 @@ def _refuse_unrunnable(model: AxisModel, where: str) -> None:
     from quad_sysid.loop.from_model import whole_plant  # seconds to import, with scipy's
 
     try:
-        if np.isfinite(whole_plant(model).rest_acceleration):
-            return
+        with np.errstate(all='ignore'):
+            if np.isfinite(whole_plant(model).rest_acceleration):
+                return
     except QuadSysidError:  # whoever runs it may hand in what is not known
         return
     except (ArithmeticError, LookupError, TypeError, ValueError):

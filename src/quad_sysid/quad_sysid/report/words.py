@@ -187,9 +187,8 @@ def headline(tree: Tree) -> tuple[str, str]:
     """Style and headline of the verdict."""
     style, text = VERDICTS.get(tree['verdict'], ('none', tree['verdict']))
     if tree['verdict'] == 'effects_added' and tree['effects']:
-        effects = [*dict.fromkeys(map(likeliest, tree['effects']))]
-        text = f'{joined(effects)} {"was" if len(effects) == 1 else "were"} missing'
-        return style, text[0].upper() + text[1:]
+        effects = dict.fromkeys(map(likeliest, tree['effects']))
+        return style, f'The plain model lacks {joined([*effects])}'
     if tree['verdict'] == 'no_missing_effect' and any(
             rung['answer'] for rung in tree.get('explanation', ())):
         return 'none', 'No missing effect is confirmed'
