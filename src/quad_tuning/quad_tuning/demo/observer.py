@@ -82,7 +82,7 @@ class Observer:
                  meanwhile: Callable[[], None] = lambda: None) -> None:
         """Spin until `condition()`; raises StageFailedError after `timeout_s`.
 
-        In lockstep nobody is hurried, and only `PATIENCE_S` ends it. `meanwhile` is called about
+        In lockstep nobody is hurried, and only `TIMEOUT_S` ends it. `meanwhile` is called about
         ten times a second and may raise (a process that died).
         """
         timeout_s = max(timeout_s, TIMEOUT_S) if self._clock.simulated else timeout_s
