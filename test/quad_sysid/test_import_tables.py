@@ -16,7 +16,14 @@ from quad_sysid.bags import read_bag
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE, control_from_motors, motors_from_wrench
 from quad_sysid.craft import LAYOUTS, Craft
-from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
+from quad_sysid.imports.columns import (
+    OPTIONS,
+    ColumnOptions,
+    _check_speeds,
+    parse_units,
+    read_columns,
+)
+from quad_sysid.imports.log import Stream
 from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.table import open_table
 from quad_sysid.imports.to_bag import import_log
@@ -206,6 +213,14 @@ def test_a_speed_that_nothing_flies_is_refused_and_what_is_advised_mends_it(
     (advice,) = re.findall(r'--unit (z=mm\S*),', error)
     imported(replace(high, units=parse_units([advice])), tmp_path / 'bag')
     assert 1.0 < np.abs(read_bag(tmp_path / 'bag').velocity[:, 2]).max() < 3.0
+
+
+@pytest.mark.parametrize('dt', [0.01, 1.0])
+def test_the_speed_of_a_position_is_that_of_its_own_clock(dt):
+    flown = Stream(dt * np.arange(40), 40.0 * dt * np.arange(40.0)[:, None] * np.ones(3))
+    units = {name: unit_of(OPTIONS['position'].role, None, name) for name in 'xyz'}
+    _check_speeds(ColumnOptions(Path('slow.csv'), ('roll',), position=(*'xyz',)), units,
+                  {'velocity': None, 'position': flown})
 
 
 def test_a_rate_is_made_of_a_heading_that_wraps_without_phase_shift(tmp_path):

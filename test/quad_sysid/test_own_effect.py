@@ -186,14 +186,24 @@ def test_an_effect_that_is_none_is_refused_before_the_flight_is_read(
     assert words in refusal(qs.identify, tmp_path / 'none', 'roll', effects=effects)
 
 
+def test_an_effect_that_fails_at_large_rates_is_named_in_one_line(tmp_path, result, refused):
+    model = result.save(tmp_path / 'out', pictures=False).folder / 'model.json'
+    file = Path(written(tmp_path))
+    law = 'assert np.abs(s.rate).max() < 1.001, "beyond my table"'
+    file.write_text(file.read_text().replace('del settings', law))
+    error = refused(tune, 'design', model, '--effects', file)
+    assert f'{file}:11: Cogging.torque fails: found AssertionError: beyond my table; see' in error
+
+
 @pytest.mark.parametrize(('given', 'words'), [
     ({'roll.rate.kp': 0.06}, "the designer gave {'roll.rate.kp': 0.06} instead of a GainProposal"),
     (qs.GainProposal({'roll.rate.kp': math.nan}), 'what is no gain of roll: roll.rate.kp = nan'),
     (qs.GainProposal({'pitch.rate.kp': 0.06}), 'what is no gain of roll: pitch.rate.kp = 0.06'),
     (qs.GainProposal({'roll.rate.kp': np.float32(0.06)}), ''),
+    (lambda model: 1.0 / (model.axis == 'yaw'), 'found ZeroDivisionError: float division by zero'),
 ])
 def test_what_a_designer_of_ones_own_gives_is_gains_of_its_axis_or_refused(given, words):
-    options = identify.Options(designer=lambda _: given)
+    options = identify.Options(designer=given if callable(given) else lambda _: given)
     proposal = identify._proposal(SimpleNamespace(axis='roll'), model_of(), options, str)
     assert words in proposal.refused_because
     assert (proposal is given) == (not words)

@@ -13,12 +13,14 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quad_sysid.errors import BadInputError, QuadSysidError
 from quad_sysid.files import check_place, check_there
 from quad_sysid.interrupt import INTERRUPTED
+from quad_sysid.one_line import one_line
 
 if TYPE_CHECKING:
     from quad_sysid.model.effect import Effect
@@ -202,7 +204,26 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except Exception as error:
+        if not (line := _fault_of_effect(error)):
+            raise
+        _say(f'{parser.prog}: {line}')
+        return BAD_ARGUMENTS
     return status
+
+
+def _fault_of_effect(error: Exception) -> str:
+    """The line on an error in the law of an effect that is not the project's; '' for others."""
+    from quad_sysid.model.effect import Effect
+
+    line = ''
+    for frame, number in walk_tb(error.__traceback__):
+        effect = next(iter(frame.f_locals.values()), None)
+        if isinstance(effect, Effect) and not type(effect).__module__.startswith('quad_sysid.'):
+            line = one_line(f'{frame.f_code.co_filename}:{number}',
+                            f'{type(effect).__name__}.{frame.f_code.co_name} fails',
+                            f'{type(error).__name__}: {error}', 'see docs/extend.md')
+    return line
 
 
 def _say(line: str) -> None:

@@ -306,7 +306,7 @@ def _wrench(
 ) -> Stream | None:
     """U1..U4 (n, 4) of control columns, the thrust behind them: U1 in the middle without it.
 
-    `turned` are the control columns in our frame.
+    `torques` are the control columns in our frame.
     """
     if control is None or torques is None:
         return None
@@ -465,7 +465,7 @@ def _check_speeds(options: ColumnOptions, units: Mapping[str, Unit],
         moved, over_s = stream.values, 1.0
         if option == 'position':
             wide = max(1, round(plausible.WINDOW_S * stream.rate_hz))
-            moved, over_s = moved[wide:] - moved[:-wide], plausible.WINDOW_S
+            moved, over_s = moved[wide:] - moved[:-wide], wide / stream.rate_hz
         for name, values, change in zip(options.names(option), stream.values.T, moved.T,
                                         strict=True):
             plausible.check_speed(_column(options, units, name, values), change / over_s, unit)

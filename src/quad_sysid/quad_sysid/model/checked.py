@@ -115,7 +115,7 @@ def tried(effect: Effect, where: str, remedy: str = 'see docs/extend.md') -> Non
                                 f'{given.shape} for {(*rows, s.rate.size)}')
         if not np.isfinite([given, joint[name]]).all():
             raise BadInputError(where, f'{law} must be finite', 'NaN or infinity',
-                                'mind rates of 0 and below')
+                                'mind values of 0 and below')
         if not np.allclose(given[..., SOME], some[name], rtol=1e-9, atol=1e-12):
             raise BadInputError(where, f'{law} must take each sample by itself',
                                 'a result that depends on other samples',

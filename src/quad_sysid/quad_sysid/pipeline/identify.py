@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
+from traceback import extract_tb
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,6 +31,7 @@ from quad_sysid.foresight import drawn_hz
 from quad_sysid.model import AxisModel, Designer, GainProposal
 from quad_sysid.model.data import AxisData, axis_data
 from quad_sysid.model.effect import Effect
+from quad_sysid.one_line import one_line
 from quad_sysid.own_base import Base, lacking
 from quad_sysid.pipeline.answer import AxisAnswer, Findings
 from quad_sysid.pipeline.assemble import Support, axis_model, outside_of
@@ -336,8 +338,11 @@ def _proposal(answer: AxisAnswer, model: AxisModel, options: Options,
                             else 'gains are designed for the built-in base only')
     try:
         proposal = options.designer(model.predicting)
-    except QuadSysidError as error:
-        return GainProposal(None, str(error))
+    except Exception as error:  # noqa: BLE001 - the search, which took minutes, stands
+        code = extract_tb(error.__traceback__)[-1]
+        return GainProposal(None, str(error) if isinstance(error, QuadSysidError) else one_line(
+            f'the designer {getattr(options.designer, "__qualname__", repr(options.designer))}',
+            f'failed in {code.filename}:{code.lineno}', f'{type(error).__name__}: {error}'))
     if not isinstance(proposal, GainProposal):
         return GainProposal(None, f'the designer gave {proposal!r} instead of a GainProposal')
     wrong = [f'{name} = {value}' for name, value in (proposal.gains or {}).items() if not (
