@@ -48,7 +48,7 @@ def lean(angles: FloatArray) -> FloatArray:
     return np.column_stack([np.tan(pitch), -np.tan(roll) / np.cos(pitch)])
 
 
-def thrust_held(acceleration: FloatArray, angles: FloatArray, dt: float) -> FloatArray:
+def relative_thrust(acceleration: FloatArray, angles: FloatArray, dt: float) -> FloatArray:
     """(n,) vertical thrust over weight by the specific force (n, 3), m/s²; 1 where not measured.
 
     Its mean counts as the weight: over a flight the mean vertical acceleration is next to nothing.

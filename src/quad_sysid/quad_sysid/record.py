@@ -18,7 +18,7 @@ from quad_sysid.axes import EVERY, axis_of
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.craft import Craft, X
 from quad_sysid.errors import BadInputError, NotInformativeError
-from quad_sysid.motion import Motion, between, lean, thrust_held, turned, upright
+from quad_sysid.motion import Motion, between, lean, relative_thrust, turned, upright
 from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
@@ -247,7 +247,7 @@ class Record:
         leaning = turned(lean(between(angles)) if self.lean is None else self.lean,
                          between(yaw) - mean)
         if self.acceleration is not None:
-            leaning *= thrust_held(self.acceleration, angles, self.dt)[:, None]
+            leaning *= relative_thrust(self.acceleration, angles, self.dt)[:, None]
         driven = np.column_stack([control[:, 0], leaning, control[:, 3]])
         speed = turned(self.velocity[:, :2], yaw - mean)
         return Motion(speed[:, i], None, driven, np.zeros((self.n, 0)), np.ones(self.n))

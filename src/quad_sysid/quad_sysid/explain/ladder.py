@@ -162,7 +162,7 @@ class Ladder:
                 if i and set(rung.labels[:-1]) == set(self.rungs[i - 1].labels)}
 
     @cached_property
-    def _new(self) -> list[set[str]]:
+    def new(self) -> list[set[str]]:
         """Labels that each rung above the base has and the one below it has not."""
         return [{*rung.labels} - {*below.labels} for below, rung in pairwise(self.rungs)]
 
@@ -178,7 +178,7 @@ class Ladder:
         """
         rungs = self.rungs[: self.answer + 1]
         whole = rungs[0].total - rungs[-1].total
-        for new, (below, rung) in zip(self._new, pairwise(rungs), strict=False):
+        for new, (below, rung) in zip(self.new, pairwise(rungs), strict=False):
             if label in new:
                 return rungs[-1].explains_pct * (below.total - rung.total) / whole
         return 0.0
@@ -241,7 +241,7 @@ class Ladder:
 
         Those explain something together only, so that none of them by itself is a cause.
         """
-        return sum(len(new) <= 1 for new in self._new)
+        return sum(len(new) <= 1 for new in self.new)
 
     @cached_property
     def answer(self) -> int:
@@ -486,8 +486,8 @@ def resampled(
     of_window = block[np.clip(rows, 0, block.size - 1)]
     rungs = ladder.rungs[: ladder.last + 1]
     names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
-    added = [{part.effect.name for part in rung.model.structure.parts
-              if part.effect.label not in below.labels} for below, rung in pairwise(rungs)]
+    added = [{part.effect.name for part in rung.model.structure.parts if part.effect.label in new}
+             for new, rung in zip(ladder.new, rungs[1:], strict=False)]
     counts: Counter[str] = Counter()
     for index, count in Counter(leading.tolist()).most_common():
         reference = entries[index].fit

@@ -120,14 +120,8 @@ def time_unit(values: FloatArray) -> str | None:
 
 def check_size(rate: Column) -> None:
     """Raise BadInputError for a rate without a stated unit that no gyro measures in rad/s."""
-    size = float(np.nanquantile(np.abs(rate.values), 0.99))
-    if not rate.named and size > FASTEST_RAD_S:
-        raise BadInputError(
-            rate.where, f'is beyond {FASTEST_RAD_S:g} rad/s, the full scale of a gyro',
-            f'{size:.4g} {rate.unit.name}',
-            f'name its unit, such as {rate.advise("deg/s")}, '
-            f'or {rate.advise(rate.unit.name)} if it is true',
-        )
+    _check_largest(rate, rate.values, FASTEST_RAD_S, rate.unit.name, 'deg/s',
+                   f'is beyond {FASTEST_RAD_S:g} rad/s, the full scale of a gyro')
 
 
 def check_speed(column: Column, speed: FloatArray, unit: str) -> None:
@@ -135,11 +129,16 @@ def check_speed(column: Column, speed: FloatArray, unit: str) -> None:
 
     `unit`: that which it may have.
     """
-    size = float(np.nanquantile(np.abs(speed), 0.99)) if speed.size else 0.0
-    if not column.named and size > FASTEST_M_S:
+    _check_largest(column, speed, FASTEST_M_S, 'm/s', unit, f'is faster than {FASTEST_M_S:g} m/s')
+
+
+def _check_largest(column: Column, values: FloatArray, limit: float, unit: str, likely: str,
+                   problem: str) -> None:
+    size = float(np.nanquantile(np.abs(values), 0.99)) if values.size else 0.0
+    if not column.named and size > limit:
         raise BadInputError(
-            column.where, f'is faster than {FASTEST_M_S:g} m/s', f'{size:.4g} m/s',
-            f'name its unit, such as {column.advise(unit)}, '
+            column.where, problem, f'{size:.4g} {unit}',
+            f'name its unit, such as {column.advise(likely)}, '
             f'or {column.advise(column.unit.name)} if it is true')
 
 

@@ -137,24 +137,25 @@ def box_jenkins(refused: list[str], z: IOData, nk: int) -> Model | None:
         bic = z.n * math.log(model.loss) + model.parameters.size * math.log(z.n)
         return not model.converged, not passed, bic
 
-    def fitted(order: int, delay: int, start: Model | None = None) -> Model | None:
+    def ranked(order: int, delay: int, start: Model | None = None
+               ) -> tuple[tuple[bool, bool, float], Model] | None:
         models = successful_fits(
             refused, lambda: bj(z, order, order, order, order, delay, start=start))
-        return models[0] if models else None
+        return (rank(models[0]), models[0]) if models else None
 
-    best: Model | None = None
+    best = None
     for order in ORDERS:
-        higher = fitted(order, nk if best is None else best.nk)
-        while higher is not None and higher.nk > 1:
-            start = replace(higher, B=higher.B[:-1], nk=higher.nk - 1)
-            earlier = fitted(order, start.nk, start)
-            if earlier is None or rank(earlier) >= rank(higher):
+        higher = ranked(order, nk if best is None else best[1].nk)
+        while higher is not None and higher[1].nk > 1:
+            start = replace(higher[1], B=higher[1].B[:-1], nk=higher[1].nk - 1)
+            earlier = ranked(order, start.nk, start)
+            if earlier is None or earlier[0] >= higher[0]:
                 break
             higher = earlier
-        if best is not None and (higher is None or rank(higher) >= rank(best)):
+        if best is not None and (higher is None or higher[0] >= best[0]):
             break
         best = higher
-    return best
+    return None if best is None else best[1]
 
 
 def _highest_stable(refused: list[str], order: int,
