@@ -209,7 +209,7 @@ class _Search:
         self.promising: set[str] = set()
 
     def run(self) -> None:
-        """Add one effect at a time, then leave out what was made needless."""
+        """Add one effect at a time, then leave out or replace what was made needless."""
         if not self.halt():
             for fit in fits_from_priors(self.problem, self.parts, self.base.fit):
                 self.store(fit)
@@ -223,26 +223,59 @@ class _Search:
             beam[0] = self.store(both_orders(self.problem, beam[0].fit))
             if beam[0].score <= before.score or self.improves_little(before.fit, beam[0].fit):
                 break
-        while not self.halt() and self.spare():
+        while not self.halt() and (self.spare() or self.exchange()):
             pass
 
     def build_on(self, parents: Sequence[Scored]) -> list[Scored]:
         """Fitted structures with one more effect, whose linear score may reach the best parent's.
 
-        Of each explanation the variant with the best score. parents: best first. Where nothing may
-        reach that beside the best, the others are not scored.
+        parents: best first. Where nothing may reach that beside the best, the others are not
+        scored.
         """
-        least = parents[0].score + HOPELESS
-        ahead: dict[tuple[str, ...], tuple[float, Fit, Score]] = {}
+        best = parents[0].score
+        ahead: list[tuple[float, Fit, Score]] = []
         for parent in parents:
-            for candidate in self.scores(parent.fit, all_candidates=parent is parents[0]):
-                names = explanation(parent.fit.structure.plus(candidate.part))
-                score = parent.score + candidate.nats + self.prices[candidate.part.effect.label]
-                if score >= ahead.get(names, (least,))[0]:
-                    ahead[names] = score, parent.fit, candidate
-            if not ahead:
+            ahead += [(parent.score + self.gain(candidate) - best, parent.fit, candidate)
+                      for candidate in self.scores(
+                          parent.fit, all_candidates=parent is parents[0])]
+            if all(score < HOPELESS for score, _, _ in ahead):
                 break
-        promising = sorted(ahead.values(), key=lambda entry: -entry[0])[:REFITS]
+        return self.fit_promising(ahead)
+
+    def exchange(self) -> bool:
+        """Try others in the place of each effect of the best structure; whether one was better.
+
+        One that was added first may stand for what a later one leaves of another (sequential
+        replacement: Miller 2002, ch. 3). Linear scores are compared with that of the effect.
+        """
+        best = self.best()
+        ahead: list[tuple[float, Fit, Score]] = []
+        for index, part in enumerate(best.fit.structure.parts):
+            smaller = self.known.get(frozenset(best.fit.structure.minus(index).labels))
+            if smaller is None or smaller is self.base:
+                continue
+            scores = self.scores(smaller.fit, all_candidates=True)
+            own = [self.gain(score) for score in scores if score.part.effect is part.effect]
+            ahead += [(self.gain(score) - own[0], smaller.fit, score)
+                      for score in scores if own and score.part.effect is not part.effect]
+        self.fit_promising(ahead)
+        return self.best() is not best
+
+    def gain(self, candidate: Score) -> float:
+        """What a candidate adds to the score of a structure, as far as linear."""
+        return candidate.nats + self.prices[candidate.part.effect.label]
+
+    def fit_promising(self, ahead: Iterable[tuple[float, Fit, Score]]) -> list[Scored]:
+        """Fits of structures with one more effect, by their relative linear scores.
+
+        Of each explanation the variant with the best score.
+        """
+        variants: dict[tuple[str, ...], tuple[float, Fit, Score]] = {}
+        for entry in ahead:
+            names = explanation(entry[1].structure.plus(entry[2].part))
+            if entry[0] >= variants.get(names, (HOPELESS,))[0]:
+                variants[names] = entry
+        promising = sorted(variants.values(), key=lambda entry: -entry[0])[:REFITS]
         if self.halt():
             return []
         candidates = [each for _, fit, score in promising for each in extensions(fit, score)]

@@ -33,7 +33,7 @@ ENOUGH = 1e-3
 """A step that lowers the sum of squares by a smaller share ends the projection."""
 ROUGHLY = 2e-2
 """The same where candidates are compared."""
-STRETCHES = 3
+PARTS = 3
 """Parts of the training, each of which is judged with parameters of the others."""
 RANGE = (-14.0, 8.0)
 """The least logarithm: what is smaller than e^-14 of its unit acts as nothing."""
@@ -159,17 +159,18 @@ class Projection:
         return np.asarray(np.linalg.cholesky(precision[:count, :count]).T)
 
     def disagreement(self, model: Projected) -> FloatArray:
-        """(windows,) what a model misses of stretches that its parameters have not seen.
+        """(windows,) what a model misses of windows that its parameters have not seen.
 
-        Each of STRETCHES of the training is run with what the others give, one step from the
-        parameters of all: a curve that holds only where it was fitted explains less of the rest.
+        Every third window is run with what the others give, one step from the parameters of all: a
+        curve that holds only where it was fitted explains less of the rest. Windows of one part
+        lie all over the training, for an event shows only after it.
         """
         count = self.windows.count
-        if count < STRETCHES or not model.total:  # too short to be cut, or the reference itself
+        if count < PARTS or not model.total:  # too short to be cut, or the reference itself
             return model.missed
-        stretch, missed = np.arange(count) * STRETCHES // count, np.empty(count)
-        for k in range(STRETCHES):
-            inside = stretch == k
+        part, missed = np.arange(count) % PARTS, np.empty(count)
+        for k in range(PARTS):
+            inside = part == k
             other = self._on(~inside).project(model.structure, model.theta, most=1)
             as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
             missed[inside] = as_they_are.missed
@@ -243,7 +244,7 @@ class Projection:
     def thirds(self) -> list[NDArray[np.int64]]:
         """The windows in which it turns slowest, those between, and those in which fastest."""
         order = np.argsort(np.mean(self._rates**2, axis=1))
-        return [part for part in np.array_split(order, STRETCHES) if part.size]
+        return [part for part in np.array_split(order, PARTS) if part.size]
 
     def ordered(self, structure: Structure) -> Projected:
         """The reference itself, which its own projection is, with its effects in another order."""
