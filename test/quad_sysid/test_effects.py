@@ -25,7 +25,7 @@ from quad_sysid.contract import MIXER, MIXER_INVERSE
 from quad_sysid.discover.base import best_base
 from quad_sysid.discover.constants import PRIOR_SIGMAS
 from quad_sysid.discover.screen import candidates, screen
-from quad_sysid.discover.search import extended
+from quad_sysid.discover.search import _Search, extended
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.curves import CELLS, COUNT, Curve, Smooth
 from quad_sysid.effects.hidden import Shown
@@ -789,6 +789,28 @@ def test_friction_is_named_and_measured_among_all_effects(rubbed_answer):
     check_sure_of(effect)
     errors = unseen(rubbed_answer, law_of('coulomb_friction', 'torque'))
     assert errors.before > 4.0 * errors.after
+
+
+def test_a_motor_that_loses_thrust_late_in_the_training_is_an_event():
+    def changes():
+        return {'torque': lambda t, *_: -3.0 * (t > 10.5),
+                'command': lambda t, u, _v: u * (1.0 - 0.12 * (t > 10.5))}
+
+    events = only('step_event/torque', 'step_event/gain', 'shape:gain:time/smooth')
+    told = answer_to(changes, 1, effects=events).findings
+    assert told.ladder.rungs[1].labels == ('step_event/torque',)
+    assert told.ladder.rungs[1].explains_pct > 90.0
+    # the two are found also where a curve came before the second
+    search = _Search(told.problem, candidates(told.problem, events)[0], told.search.base,
+                     lambda: '', lambda _: None)
+    fitted = told.search.base
+    for label in ('step_event/torque', 'shape:gain:time/smooth'):
+        score = next(one for one in search.scores(fitted, all_candidates=True)
+                     if one.part.effect.label == label)
+        fitted = search.store(extended(told.problem, fitted, score)).fit
+    assert search.best().fit is fitted
+    assert search.exchange()
+    assert {*search.best().fit.structure.labels} == {'step_event/torque', 'step_event/gain'}
 
 
 def test_a_gain_that_wanders_is_followed_in_another_flight_on_its_own_path():
