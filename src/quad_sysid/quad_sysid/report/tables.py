@@ -26,7 +26,7 @@ GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_k
               'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
-UNDETERMINED = '± one standard error; ± – where the data determine none, < by the 95 % interval'
+UNDETERMINED = '± one standard error, – where the data determine none; <: upper bound at 95 %'
 RUNAWAY = 1e3
 """rad/s or m/s: no gyro measures such an error, and no aircraft is as fast."""
 
@@ -242,8 +242,8 @@ def explanation(tree: Tree) -> Table:
     claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (
         'The rungs after the marked one are finer details and not claimed as causes.')
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
-                 'Explained: the share of what the base misses of the best predictor in the '
-                 'training, in slow, medium or fast motion, where it is least. '
+                 'Explains: how much of the difference between the base and the best predictor '
+                 'the rung removes in the training; the least of slow, medium and fast motion. '
                  f'The error is of {tree["error"]["data"]} data, where the base alone '
                  f'has {number(tree["error"]["before"], 4)}. {claimed}')
 
