@@ -206,8 +206,8 @@ def _weak_sag(data: AxisData) -> str:
     volts = data.training(required(data.battery_v))
     sag = float(np.ptp(volts) / np.mean(volts))
     return '' if sag >= SAG_SHOWS else (
-        f'a strong one only: the voltage moves by {100.0 * sag:.2g} %, and {100.0 * SAG_SHOWS:g} % '
-        'always show it')
+        f'a strong one only: the voltage moves by {100.0 * sag:.2g} %, and '
+        f'{100.0 * SAG_SHOWS:g} % always show it')
 
 
 _EFFECTS = (
