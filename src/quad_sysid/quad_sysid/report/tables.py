@@ -12,6 +12,7 @@ from itertools import zip_longest
 from typing import Any
 
 from quad_sysid.axes import units_of
+from quad_sysid.record import UNNAMED
 from quad_sysid.report.words import FIGURES, chance, estimate, figure, named, number, values, yes
 from quad_sysid.units import unit_and_factor
 
@@ -174,7 +175,7 @@ def models(tree: Tree) -> Table:
     """Black-box models with both steps of the selection and why one is out."""
     listed = tree['models']
     signals = list(dict.fromkeys(s for m in listed for s in m['fit_validation_pct']))
-    named = ('held-out' if s == 'unknown' else s for s in signals)
+    named = ('held-out' if s in UNNAMED else s for s in signals)
     head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in named), 'loop, %', 'AIC',
             'BIC', 'white', 'free of input', 'causal', 'outcome']
     rows = [
