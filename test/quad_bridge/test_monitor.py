@@ -142,7 +142,6 @@ def test_the_node_says_when_enough_is_in(probe, start):
                     every_s=1, validation_s=1.0)  # fmt: skip
     topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
     probe.meet(*topics, '/left/logger/bag')
-    probe.publish('/left/logger/bag', event({'path': 'flights/one', 'state': 'recording'}))
     x, y = answered(60.0, 0.05, 5)
     cycles, pauses_s = itertools.count(), itertools.cycle((0.0, 0.3, 0.6))
 

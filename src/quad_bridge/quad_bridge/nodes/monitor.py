@@ -129,7 +129,7 @@ class Monitor(Node):  # type: ignore[misc]
         values = {p.name: p.value.string_value for p in message.changed_parameters}
         previous, self._state.bag = self._state.bag, values.get('path', '')
         self._state.bag_state, self._state.bag_at_s = values.get('state', ''), time.monotonic()
-        if previous not in {'', self._state.bag}:  # what another bag holds does not help this one
+        if previous != self._state.bag:  # what it does not hold does not help it
             self._state.done.clear()
             self._begin_anew()
 
