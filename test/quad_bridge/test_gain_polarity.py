@@ -114,12 +114,13 @@ def test_all_axes_answer_in_hover_and_the_motors_are_found_mount_by_mount(bench)
     words = checked(made, motors=True)
     assert 'motor_1 rear left or front left; motor_2 rear right or front right' in words
     flying = bench(polarity='manual', mount='hover', profile='paper_hover')
-    assert checked(flying).startswith('roll correct; pitch correct; yaw correct; motor_1 rear left or')
+    three = 'roll correct; pitch correct; yaw correct;'
+    assert checked(flying).startswith(f'{three} motor_1 rear left or')
     assert np.degrees(flying.peak_rad) < 6.0
     words = checked(flying, motors=True)
     names = ('rear left', 'rear right', 'front right', 'front left')
     motors = '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
-    assert words == f'roll correct; pitch correct; yaw correct; {motors}'
+    assert words == f'{three} {motors}'
 
 
 def answers(order, spins=(1, 1, 1, 1)):
