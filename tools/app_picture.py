@@ -11,6 +11,8 @@ import time
 import urllib.request
 from pathlib import Path
 
+from quad_sysid.app.server import COOKIE
+
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = ROOT / 'docs/images/app.png'
 PATIENCE_S = 300.0
@@ -52,7 +54,8 @@ def main() -> int:
 
 def _look(address: str) -> None:
     base, _, token = address.partition('/?token=')
-    cookie = {'Cookie': f'quad_sysid_token={token}'}
+    name = COOKIE.format(base.rpartition(':')[2])
+    cookie = {'Cookie': f'{name}={token}'}
 
     def ask(path: str, data: bytes | None = None) -> object:
         request = urllib.request.Request(base + path, data, cookie)

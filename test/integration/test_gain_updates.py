@@ -86,7 +86,7 @@ def test_updates_parameters_services_and_a_killed_bridge(bench):
     bench.ask({KP: 0.1})
     bench.said('call ~/check_polarity')
     answer = bench.call('/serial_bridge/check_polarity')
-    assert answer.message == 'roll right; pitch silent; yaw silent'
+    assert answer.message == 'roll correct; pitch does not respond; yaw does not respond'
     bench.rest(1.0)
 
     bench.ask({KP: 0.1}, source='a stranger')

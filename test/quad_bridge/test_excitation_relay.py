@@ -84,6 +84,16 @@ def test_set_points_follow_the_segment():
     assert (relay.forwarded, relay.dropped) == (2, 2 + len(unfit))
 
 
+def test_a_set_point_on_its_way_when_its_segment_ended_is_no_fault():
+    relay = ExcitationRelay(100)
+    relay.segment(TRAIN, 0.0, 9.0)
+    relay.segment({'segment': 'idle'}, 0.001, 10.001)
+    assert relay.setpoint(0.1, 0.0, 0.0, 10.002, 0.006) is None
+    assert relay.status(None, 10.1).message == 'idle'
+    assert relay.setpoint(0.1, 0.0, 0.0, 10.006, 0.002) is None
+    assert 'no segment is running' in relay.status(None, 10.1).message
+
+
 def test_a_segment_of_the_climb_is_for_the_third_value_at_the_control_alone():
     relay = ExcitationRelay(100, OperatorEnable(required=False))
     relay.segment({**TRAIN, 'axis': 'climb', 'injection': 'control'})

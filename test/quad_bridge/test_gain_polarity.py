@@ -29,7 +29,7 @@ def test_the_first_update_of_an_axis_waits_for_its_pulses_the_next_bridge_knows_
     made = bench(polarity='auto')
     assert 'checking the polarity of roll' in made.ask(**ROLL)
     made.fly_until('in force')
-    assert 'polarity: roll right' in made.notes
+    assert 'polarity: roll correct' in made.notes
     assert np.degrees(made.peak_rad) < 3.0
     again = bench(polarity='manual')
     assert 'writing' in again.ask(**ROLL)
@@ -45,7 +45,7 @@ def test_a_wrong_sign_refuses_every_update_until_it_is_mended(bench):
         with pytest.raises(RefusedError, match='wrong sign'):
             made.ask(**wanted)
     made.down.fault = None
-    assert 'roll right' in checked(made)
+    assert 'roll correct' in checked(made)
     made.ask(**ROLL)
     made.fly_until('in force')
 
@@ -91,7 +91,7 @@ def test_a_check_whose_link_is_cut_ends_and_is_not_gone_on_with_later(bench):
         excited.append(made.cycle.flags & f.Flag.EXCITATION)
     assert not any(excited)
     assert made.gain('roll.rate.kp') == before
-    assert 'roll right' in checked(made)
+    assert 'roll correct' in checked(made)
 
 
 @pytest.mark.parametrize('rate_hz', [50.0, 250.0, 1000.0])
@@ -114,12 +114,13 @@ def test_all_axes_answer_in_hover_and_the_motors_are_found_mount_by_mount(bench)
     words = checked(made, motors=True)
     assert 'motor_1 rear left or front left; motor_2 rear right or front right' in words
     flying = bench(polarity='manual', mount='hover', profile='paper_hover')
-    assert checked(flying).startswith('roll right; pitch right; yaw right; motor_1 rear left or')
+    three = 'roll correct; pitch correct; yaw correct;'
+    assert checked(flying).startswith(f'{three} motor_1 rear left or')
     assert np.degrees(flying.peak_rad) < 6.0
     words = checked(flying, motors=True)
     names = ('rear left', 'rear right', 'front right', 'front left')
     motors = '; '.join(f'motor_{k + 1} {name}' for k, name in enumerate(names))
-    assert words == f'roll right; pitch right; yaw right; {motors}'
+    assert words == f'{three} {motors}'
 
 
 def answers(order, spins=(1, 1, 1, 1)):

@@ -82,7 +82,7 @@ class Pulses:
         return []
 
     def words(self):
-        return 'roll right'
+        return 'roll correct'
 
     def start(self, _):
         self.left, self.trouble = 2, ''

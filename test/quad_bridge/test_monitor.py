@@ -141,7 +141,7 @@ def test_the_node_says_when_enough_is_in(probe, start):
     monitor = start('monitor', namespace='/left', band_low_rad_s=2.0,
                     every_s=1, validation_s=1.0)  # fmt: skip
     topics = ('/left/imu/data', '/left/excitation/applied', '/left/excitation/segment')
-    probe.meet(*topics)
+    probe.meet(*topics, '/left/logger/bag')
     x, y = answered(60.0, 0.05, 5)
     cycles, pauses_s = itertools.count(), itertools.cycle((0.0, 0.3, 0.6))
 
@@ -171,6 +171,8 @@ def test_the_node_says_when_enough_is_in(probe, start):
     fly_until('go on to validation', 'train')
     fly_until('stop now: 2 to 20 rad/s covered', 'validation')
     fly_until(r'imu +ok +250 Hz', 'idle')
+    probe.publish('/left/logger/bag', event({'path': 'flights/two', 'state': 'recording'}))
+    probe.until(lambda: re.search(r'recording two\n(.*\n)*.* 0 s trained, 0 s', monitor.printed))
     assert monitor.end() == 0
     assert '\x1b' not in monitor.printed
 

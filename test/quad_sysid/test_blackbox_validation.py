@@ -156,7 +156,7 @@ def test_step_a_keeps_the_truth_and_says_why_others_go(study, record):
     validation = study.record(np.random.default_rng(21))
     wild = polynomial_model([0, 0.1], A=[1, -1.2], dt=record.dt)
     models = [qs.arx(record, 2, 1, 0), study.truth, wild]
-    poor, good, unstable = step_a(models, record, {'prbs': validation})
+    poor, good, unstable = step_a(models, record, {'prbs': validation, 'none': validation})
     assert not poor.passed_first_step
     assert 'nk = 0' in poor.eliminated_because
     assert 'white' in poor.eliminated_because
@@ -166,8 +166,9 @@ def test_step_a_keeps_the_truth_and_says_why_others_go(study, record):
     assert poor.aic > good.aic
     report = good.as_report()
     assert (report['structure'], report['passed_first_step']) == ('BJ', True)
-    assert unstable.fit_validation_pct == {'prbs': None}
+    assert unstable.fit_validation_pct == {'prbs': None, 'none': None}
     assert 'unstable' in unstable.eliminated_because
+    assert 'on held-out data is no better' in unstable.eliminated_because  # of none is no sentence
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ class ExcitationRelay:
         quad = Quad()
         self._aircraft = aircraft or (lambda: quad)
         self._enable = enable or OperatorEnable(required=False)
-        self._lost = False
+        self._lost, self._ended_s = False, -math.inf  # by the stamp of what ended the last segment
         self.injection = Injection.NONE  # of the running segment
         self.forwarded = 0
         self.dropped = 0
@@ -59,7 +59,9 @@ class ExcitationRelay:
             text = f'disabled: {disabled}'
         return Status('excitation', level, text, values)
 
-    def segment(self, parameters: Mapping[str, Any], age_s: float = 0.0) -> Frame | None:
+    def segment(
+        self, parameters: Mapping[str, Any], age_s: float = 0.0, now_s: float = -math.inf
+    ) -> Frame | None:
         """Take a segment's parameters; the frame that ends what was before, None in its midst.
 
         The STM32 refuses until it hears one, once it has refused. `age_s` by its stamp: one of
@@ -76,6 +78,7 @@ class ExcitationRelay:
             injection = Injection.THRUST if injection is Injection.CONTROL else None
         previous, self._lost = self.injection, False
         self.injection = injection if running and injection is not None else Injection.NONE
+        self._ended_s = now_s - age_s
         end = self._aircraft().abort() if Injection.NONE in {previous, self.injection} else None
         self._aircraft().segment(parameters if self.injection is not Injection.NONE else None)
         return end
@@ -97,6 +100,8 @@ class ExcitationRelay:
         if self._lost:
             fault = fault or 'the operator has released the enable: start the next segment'
         elif self.injection is Injection.NONE:
+            if now_s - age_s < self._ended_s:
+                return None  # it was on its way when its segment ended
             fault = fault or 'no segment is running: publish /excitation/segment first'
         elif not max(abs(x), abs(y), abs(z)) < LARGEST or math.isnan(x + y + z):
             fault = fault or f'set-point must lie within ±{LARGEST:g}: found {x}, {y}, {z}'

@@ -242,7 +242,8 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _tell(self, outcome: Result, bag: str) -> None:
         """Publish the result, and what was done with the gains."""
         verdicts = {axis: answer.verdict for axis, answer in outcome.answers.items()}
-        self.get_logger().info(f'{bag}: {verdicts}, report in {outcome.folder}')
+        shown = ', '.join(f'{axis} {verdict}' for axis, verdict in verdicts.items())
+        self.get_logger().info(f'{bag}: {shown}; report in {outcome.folder}')
         update = self._update(outcome, bag)
         self._say(
             OK if outcome.answered else WARN,
@@ -258,15 +259,16 @@ class IdentificationNode(Node):  # type: ignore[misc]
         gains = outcome.gains
         if not gains:
             return 'none: ' + '; '.join(outcome.refusals().values())
+        shown = ', '.join(f'{name} {value:.4g}' for name, value in gains.items())
+        sends = f'quad-tune send {outcome.folder}/report.json sends them: {shown}'
         if not self._auto_update:
-            self.get_logger().info(f'gains not sent (auto_update is off): {gains}')
+            self.get_logger().info(f'gains not sent: auto_update is off; {sends}')
             return 'not sent: auto_update is off'
         why = self._known_bags.get(bag, '')
         if not why and not self._gains.service_is_ready():
             why = f'no bridge offers {self._gains.srv_name}'
         if why:
-            text = f'gains not sent: {why}; quad-tune send takes them: {gains}'
-            self.get_logger().warning(text)
+            self.get_logger().warning(f'gains not sent: {why}; {sends}')
             return f'not sent: {why}'
         values: dict[str, float | str] = {
             **gains, 'source': f'identification of {bag}', 'bag': bag,
@@ -275,7 +277,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         event = event_message(values, '/identification', 0)
         request = SetParametersAtomically.Request(parameters=event.changed_parameters)
         self._gains.call_async(request).add_done_callback(self._on_answer)
-        self.get_logger().info(f'gains sent: {gains}')
+        self.get_logger().info(f'gains sent: {shown}')
         return 'sent'
 
     def _on_answer(self, future: Any) -> None:

@@ -22,6 +22,7 @@ from quad_sysid.motion import Motion, between, lean, relative_thrust, turned, up
 from quad_sysid.units import LENGTHS, Units
 
 ROLES = ('train', 'validation', 'idle')
+UNNAMED = ('none', 'unknown')  # signals of segments in which none is known to have been flown
 WIDTHS = {
     'rates': 3, 'control': 4, 'angles': 3, 'acceleration': 3, 'motors': None, 'speeds': None,
     'wrench': 4, 'attitude_setpoint': 3, 'rate_setpoint': 3, 'excitation': 3, 'battery_v': 0,

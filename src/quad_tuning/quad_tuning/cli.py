@@ -180,8 +180,8 @@ def _table(axis: str, method: str, answer: Mapping[str, Any]) -> str:
         count, first = len(answer['steps']), history.words(answer['gains'])
         pace = f'{count} steps, 3 s apart' if count > 1 else 'one step'
         lines += wrapped(
-            'quad-tune send sends it at once if the aircraft still has the gains of the flight; '
-            f'the bridge applies it in {pace}' if answer['gains'] == answer['target'] else
+            'quad-tune send sends what --out stores, if the aircraft still has the gains of the '
+            f'flight; the bridge applies it in {pace}' if answer['gains'] == answer['target'] else
             f'{count} updates lead there, since all at once is not safe: send {first}, fly, and '
             'identify again')
     lines += wrapped(left_out(answer['left_out']))

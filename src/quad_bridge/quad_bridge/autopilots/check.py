@@ -156,7 +156,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     aircraft, port = listener.connected.autopilot, listener.port.status
     listener.port.stop()
     if aircraft is None:
-        words = 'neither PX4 nor ArduPilot answers'
+        words = ('neither PX4 nor ArduPilot answers; check port and baud rate (an STM32 with this '
+                 "project's firmware needs no --check)")
         if port.opened == 0 and port.state is not PortState.OPEN:
             words = f'port {port.state.value}'
         complain(f'serial_bridge: {options.port}: {words}\n')

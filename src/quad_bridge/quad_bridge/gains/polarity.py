@@ -242,7 +242,8 @@ class PolarityCheck:
 
     def words(self) -> str:
         """The results in one line."""
-        parts = [f'{axis} {verdict}' for axis, verdict in self._axes.items()]
+        said = {'right': 'correct', 'silent': 'does not respond'}  # right is also a direction
+        parts = [f'{axis} {said.get(verdict, verdict)}' for axis, verdict in self._axes.items()]
         if self._motors:
             places, _ = self.craft.where_motors_are(self._motors)
             parts += [f'{motor} {place}' for motor, place in places.items()]

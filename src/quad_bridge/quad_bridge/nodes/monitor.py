@@ -120,17 +120,23 @@ class Monitor(Node):  # type: ignore[misc]
             if self._state.suffices(self._validation_s):
                 self._state.done.add(self._axis)
             self._axis = axis
-            self._pairs.clear()
-            self._state.coverage, self._text = None, ''
-            self._state.trained_s = self._state.validated_s = 0.0
+            self._begin_anew()
         if self._axis not in AXES or axis not in AXES:
             self._role = ''
         self._state.segment = values
 
     def _on_bag(self, message: Any) -> None:
         values = {p.name: p.value.string_value for p in message.changed_parameters}
-        self._state.bag, self._state.bag_state = values.get('path', ''), values.get('state', '')
-        self._state.bag_at_s = time.monotonic()
+        previous, self._state.bag = self._state.bag, values.get('path', '')
+        self._state.bag_state, self._state.bag_at_s = values.get('state', ''), time.monotonic()
+        if previous != self._state.bag:  # what it does not hold does not help it
+            self._state.done.clear()
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._pairs.clear()
+        self._state.coverage, self._text = None, ''
+        self._state.trained_s = self._state.validated_s = 0.0
 
     def _look(self) -> None:
         if self._new >= MIN_NEW:

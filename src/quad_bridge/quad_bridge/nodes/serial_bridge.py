@@ -453,7 +453,7 @@ class SerialBridge(ManagedNode):
     def _on_segment(self, event: ParameterEvent) -> None:
         values, age_s = conversion.parameters(event), self._age_s(event.stamp)
         with self._lock:
-            end = self._relay.segment(values, age_s)
+            end = self._relay.segment(values, age_s, clock().now_s())
             if self._relay.injection:
                 self._gains.disturb()
             elif self._gains.state is State.CHECKING:

@@ -16,7 +16,7 @@ from quad_sysid.blackbox.model import Model
 from quad_sysid.blackbox.residuals import ResidualTest, residual_test
 from quad_sysid.blackbox.simulate import compare
 from quad_sysid.errors import BadInputError
-from quad_sysid.record import IOData
+from quad_sysid.record import UNNAMED, IOData
 
 WITH_NOISE_MODEL = ('ARX', 'ARMAX', 'BJ')
 """Structures that claim a white residual; OE, IV4 and CLRIV leave the noise to itself."""
@@ -130,7 +130,8 @@ def _objections(model: Model, test: ResidualTest, fits: Mapping[str, float | Non
         reasons.append(f'nk = {model.nk} breaks 0 < nk < 9')
     for name, fit in fits.items():
         if fit is None or fit <= 0.0:
-            reasons.append(f'free run on {name} is no better than its mean')
+            part = 'held-out data' if name in UNNAMED else name
+            reasons.append(f'free run on {part} is no better than its mean')
     if model.structure in WITH_NOISE_MODEL and not test.residual_white:
         reasons.append(f'residual is not white (p = {test.p_white:.2g})')
     if not test.residual_uncorrelated_with_input:

@@ -58,8 +58,9 @@ NAMED_FIRST = 0.9
 NEGLIGIBLE = 0.01
 """Share of the base's miss, and of the motion, below which nothing is called a cause."""
 PRIOR_SIGMAS = 5.0
-"""Standard deviations of a law's prior within which its parameters lie. A projection has no prior:
-a gain that falls with time would be a sagging battery's, by the voltage to the power of 20."""
+"""Standard deviations of a law's prior within which its parameters lie. It weighs little in a
+projection: a gain that falls with time would be a sagging battery's, by the voltage to the power
+of 20."""
 PROJECTED = 2
 """Named laws, and effects of the reference, that are projected at each rung."""
 LEAST_OF_BEST = 0.4

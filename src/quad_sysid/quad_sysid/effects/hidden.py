@@ -425,7 +425,7 @@ class Shown(Linked, Shape):
 
     def prepare(self, data: AxisData) -> Settings | str:
         if data.motors.shape[1] != GYRO_MOTORS:
-            return f'it is stated for {GYRO_MOTORS} motors'
+            return f'it needs the commands of {GYRO_MOTORS} motors'
         low, high = np.percentile(data.training(data.motors), [0.5, 99.5])
         if not high - low > SLOW_MOVES * high:
             return 'the flight holds no motor commands that move'

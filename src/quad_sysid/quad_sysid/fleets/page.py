@@ -322,8 +322,8 @@ def _tables(fleet: Fleet) -> tuple[Table, Table, Table]:
                for craft, axis, effect, n, of in fleet.lacks], (3, 4)),
         Table(['axis', 'parameter', 'unit', 'aircraft', 'flights', 'mean', '95 %', 'between',
                'within'], means, (3, 4, 5, 7, 8),
-              caption='Mean over aircraft with its interval; standard deviations between aircraft '
-              "and between flights of one, beside the estimates' errors."),
+              caption='Mean over aircraft with its interval. Between, within: standard deviations '
+              "between aircraft, and between flights of one, beyond the estimates' errors."),
         Table(['bag', 'because'], [list(pair) for pair in fleet.unanswered[:MOST_ROWS]]),
     )
 

@@ -206,7 +206,8 @@ def _weak_sag(data: AxisData) -> str:
     volts = data.training(required(data.battery_v))
     sag = float(np.ptp(volts) / np.mean(volts))
     return '' if sag >= SAG_SHOWS else (
-        f'a strong one only: the voltage moves by {sag:.1%}, {SAG_SHOWS:.0%} shows it surely')
+        f'a strong one only: the voltage moves by {100.0 * sag:.2g} %, and '
+        f'{100.0 * SAG_SHOWS:g} % always show it')
 
 
 _EFFECTS = (

@@ -200,11 +200,11 @@ def loops(part: Part) -> Table:
                 f'{loop.sensitivity:.2f} at {loop.sensitivity_hz:.3g}'])
     return Table(['axis', 'coherent, Hz', '-3 dB, Hz', 'peak, Hz', 'crossover, Hz', 'phase, °',
                   'gain, dB', 'sensitivity, Hz'], rows, range(1, 8), caption=(
-                      f'{_title(part)}Rate loop over frequency, by the set-point or what was '
-                      'injected as instrument: '
-                      'bandwidth and peak of the tracking; margins and peak sensitivity by the '
-                      "plant so measured and the log's gains, a dash where the gains or the "
-                      'coherence are missing.'))
+                      f'{_title(part)}Frequency response of the rate loop, measured with the '
+                      'set-point or the injected signal as instrument. -3 dB and peak are those '
+                      'of the tracking; crossover, margins and peak sensitivity follow from the '
+                      "measured plant and the log's gains. A dash: gains or coherence are missing."
+                  ))
 
 
 def delays(part: Part) -> Table:
@@ -216,7 +216,7 @@ def delays(part: Part) -> Table:
     return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
         f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
         'the delay from command to angular acceleration less the parts above it; it is left out '
-        'where it is no longer than what damping takes off.'))
+        "where the damping's phase lead is larger."))
 
 
 def noise(part: Part) -> Table:
@@ -248,8 +248,8 @@ def tracking(part: Part) -> Table:
              f'{DEG * t.error_rms_delayed:.3g}', _ms(t.latency_s)]
             for axis, on_axis in part.axes.items() for t in on_axis.tracking]
     return Table(['axis', 'of', 'set-point RMS', 'error RMS', 'left if delayed', 'by'], rows,
-                 range(2, 6), caption=f'{_title(part)}deg/s and deg; the set-point delayed by as '
-                 'much as leaves the least error; a dash where no delay lowers it.')
+                 range(2, 6), caption=f'{_title(part)}deg/s and deg. Left: the error against the '
+                 'set-point delayed so that it is least; a dash where no delay lowers it.')
 
 
 def motors(look: Measured) -> Table:

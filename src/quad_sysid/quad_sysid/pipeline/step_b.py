@@ -26,7 +26,7 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.flight import Flight
 from quad_sysid.pipeline.answer import ClosedLoop, LoopRun, ModelRow
-from quad_sysid.record import Record, Segment, finite_runs
+from quad_sysid.record import UNNAMED, Record, Segment, finite_runs
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def loop_of(records: Sequence[Record], axis: str) -> Loop:
     return Loop(
         flights, because,
         behind_attitude=not any(s.injection in ('rate', 'control') for _, s in excited),
-        through=any(s.injection in ('attitude', 'rate') and s.signal not in ('none', 'unknown')
+        through=any(s.injection in ('attitude', 'rate') and s.signal not in UNNAMED
                     for _, s in train_parts),
         of_one_set=len({tuple(sorted(gains_of_axis(r, axis, s.start_s).items()))
                         for r, s in train_parts}) <= 1,

@@ -12,6 +12,7 @@ from itertools import zip_longest
 from typing import Any
 
 from quad_sysid.axes import units_of
+from quad_sysid.record import UNNAMED
 from quad_sysid.report.words import FIGURES, chance, estimate, figure, named, number, values, yes
 from quad_sysid.units import unit_and_factor
 
@@ -26,7 +27,7 @@ GAIN_UNITS = {'angle_kp': '1/s', 'rate_kp': 's/rad', 'rate_ki': '1/rad', 'rate_k
               'd_filter_hz': 'Hz'}
 WIDE = ('outcome', 'because', 'parameters')
 """Columns with sentences."""
-UNDETERMINED = '± one standard error; ± – where the data determine none, < by the 95 % interval'
+UNDETERMINED = '± one standard error, – where the data determine none; <: upper bound at 95 %'
 RUNAWAY = 1e3
 """rad/s or m/s: no gyro measures such an error, and no aircraft is as fast."""
 
@@ -174,7 +175,7 @@ def models(tree: Tree) -> Table:
     """Black-box models with both steps of the selection and why one is out."""
     listed = tree['models']
     signals = list(dict.fromkeys(s for m in listed for s in m['fit_validation_pct']))
-    named = ('held-out' if s == 'unknown' else s for s in signals)
+    named = ('held-out' if s in UNNAMED else s for s in signals)
     head = ['model', 'approach', 'train, %', *(f'{s}, %' for s in named), 'loop, %', 'AIC',
             'BIC', 'white', 'free of input', 'causal', 'outcome']
     rows = [
@@ -242,8 +243,8 @@ def explanation(tree: Tree) -> Table:
     claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (
         'The rungs after the marked one are finer details and not claimed as causes.')
     return Table(['rung', 'adds', 'explains', f'error, {unit}'], rows, (0, 2, 3), answer,
-                 'Explained: the share of what the base misses of the best predictor in the '
-                 'training, in slow, medium or fast motion, where it is least. '
+                 'Explains: how much of the difference between the base and the best predictor '
+                 'the rung removes in the training; the least of slow, medium and fast motion. '
                  f'The error is of {tree["error"]["data"]} data, where the base alone '
                  f'has {number(tree["error"]["before"], 4)}. {claimed}')
 

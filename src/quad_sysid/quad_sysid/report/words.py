@@ -289,7 +289,7 @@ def _missing(tree: Tree) -> list[str]:
     out = []
     for effect in tree['effects']:
         text = f'{named(effect).capitalize()} ({effect["name"]}): {values(effect)}.'
-        text += (f' If it predicted nothing, the held-out data would look like this with p '
+        text += (f' If it predicted nothing, the held-out data would favour it so much with p '
                  f'{equals(effect["p_value"])}')
         rivals = effect.get('rivals') or []
         if rivals:
