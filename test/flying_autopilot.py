@@ -272,14 +272,14 @@ class Flying(Autopilot):
             out[int(p['SID_AXIS']) - 10] += self.injected
         self.torque = [min(max(v, -1.0), 1.0) if math.isfinite(v) else 0.0 for v in out]
 
-    def px4_loop(self, i, wanted, y, _angle, _most, k, kp, ki, kd, ff, limit, cut):  # noqa: PLR0913
+    def px4_loop(self, i, wanted, y, _angle, _most, k, kp, ki, kd, ff, limit, cut):
         error, d = wanted - y, self.filters[i][0]((y - self.before[i]) / DT, cut)
         out = k * (kp * error - kd * d) + self.integral[i] + ff * wanted
         self.integral[i] += k * ki * error * DT
         self.before[i] = y
         return out, limit
 
-    def ardupilot_loop(self, i, wanted, y, _angle, kp, ki, kd, ff, limit, fltt, flte, fltd):  # noqa: PLR0913
+    def ardupilot_loop(self, i, wanted, y, _angle, kp, ki, kd, ff, limit, fltt, flte, fltd):
         target, error, slope = self.filters[i]
         wanted = target(wanted, fltt)
         e = error(wanted - y, flte)
