@@ -209,9 +209,10 @@ class Flying(Autopilot):
         self.control()
         self.note_log()
         flat, yaw = (math.sqrt(0.5), 1.0) if self.px4 else (0.5, 0.5)
-        u = (self.thrust, flat * self.torque[0], -flat * self.torque[1], -yaw * self.torque[2])
-        self.motors = [min(max(sum(m * v for m, v in zip(row, u, strict=True)), 0.0), 1.0)
-                       for row in MIXER]
+        u1, u2, u3, u4 = (self.thrust, flat * self.torque[0], -flat * self.torque[1],
+                          -yaw * self.torque[2])
+        self.motors = [min(max(a * u1 + b * u2 + c * u3 + d * u4, 0.0), 1.0)
+                       for a, b, c, d in MIXER]
         move_cycle(self.craft.machine, self.step, np.array(self.motors), normals)
         self.turn()
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import flying_autopilot as flown
 import pytest
 from autopilots import INERTIAL
-from flight_controller import Port, Pty, Updated
+from flight_controller import CYCLE_S, Port, Pty, Updated
 from flying_autopilot import FLYING_ARDUPILOT, FLYING_PX4, Flying
 
 from quad_bridge.aircraft import Ability
@@ -130,7 +130,7 @@ def flying(tmp_path):
 
     def made(name, **more):
         there = Cockpit(name, tmp_path, **more)
-        there.fly(5.0)
+        there.fly(3.0)
         return there
 
     return made
@@ -239,20 +239,13 @@ def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying
     line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
     line.fly(3.0)
     assert first.parameters[p] != before
-    line.controller = other = Flying(KINDS['px4'], uid=0x9999, takes_off=True)
-    line.opened()
-    line.fly(8.0)
+    other = Flying(KINDS['px4'], uid=0x9999)
+    lose(line, 0.0, opened=True, then=other)
     assert line.updates.aircraft == 'px4_0000000000009999'
     assert not other.written
-    line.controller = first
-    line.opened()
-    line.fly(8.0)
+    lose(line, 0.0, opened=True, then=first)
     assert first.parameters[p] == before
-    line.up.cut = line.down.cut = True  # on a radio no port is opened: it is silent for a while
-    line.fly(11.0)
-    line.up.cut = line.down.cut = False
-    line.controller = other
-    line.fly(8.0)
+    lose(line, 11.0, opened=False, then=other)  # on a radio no port is opened
     assert line.updates.aircraft == 'px4_0000000000009999'
     assert line.updates.active
     assert not other.written
@@ -270,12 +263,12 @@ def mute(controller):
 def test_nothing_is_written_to_one_that_may_be_another(tmp_path, name, first, second):
     """On a radio, and after one of the two has been silent about itself."""
     line = Cockpit(name, tmp_path, aircraft=first(Flying(KINDS[name])))
-    line.fly(9.0)
+    line.fly(6.0)
     before = line.controller.parameters[P[name]]
     line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
     line.fly(3.0)
-    line.controller = other = second(Flying(KINDS[name], uid=0x9999))
-    lose(line, 11.0, opened=False)
+    other = second(Flying(KINDS[name], uid=0x9999))
+    lose(line, 11.0, opened=False, then=other)
     other.parameters[P[name]] = before
     line.hear(other.pack(other.value(P[name])))  # as a ground station that reads it
     line.fly(1.0)
@@ -304,13 +297,17 @@ def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, 
     assert line.aircraft.at_rest
 
 
-def lose(line, gap_s, *, opened):
+def lose(line, gap_s, *, opened, then=None):
+    """Nothing is heard of the aircraft, which hovers; `then`: another one that is heard next."""
     line.up.cut = line.down.cut = True
-    line.fly(gap_s)
+    for _ in range(round(gap_s / CYCLE_S)):
+        line.steps, line.controller.step = line.steps + 1, line.controller.step + 1
+        line.attend()
     line.up.cut = line.down.cut = False
+    line.controller = then or line.controller
     if opened:
         line.opened()
-    line.fly(8.0)
+    line.fly(6.0)
 
 
 def test_a_ground_station_that_writes_during_a_trial_ends_it(flying):
