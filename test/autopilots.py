@@ -171,9 +171,11 @@ class Autopilot:
         angles, rates = self.moves()
         p, q, r = rates if self.kind.rates else (0.0, 0.0, 0.0)
         b = 0.4 * self.kind.gauss
-        rpm = [6000, 6100, 6200, 6300]
-        raw, cell_mv = self.outputs_us, round(1000 * self.volts / 3)
-        sticks = (*(self.sticks_us[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
+        rpm, cell_mv = [6000, 6100, 6200, 6300], round(1000 * self.volts / 3)
+
+        def sticks():
+            return (*(self.sticks_us[k] for k in self.kind.sticks), 1000, 1000, 1000, 1000)
+
         made = {
             'HIGHRES_IMU': lambda: mav.MAVLink_highres_imu_message(
                 us, 0.0, 0.0, -GRAVITY, p, q, r, 0.5 * b, 0.25 * b, -b,
@@ -185,12 +187,12 @@ class Autopilot:
             'RAW_IMU': lambda: mav.MAVLink_raw_imu_message(us, 0, 0, -1000, 1, 1, 1, 200, 100, 4),
             'ATTITUDE': lambda: mav.MAVLink_attitude_message(ms, *angles, p, q, r),
             'SERVO_OUTPUT_RAW': lambda: mav.MAVLink_servo_output_raw_message(
-                us % 2**32, 0, *raw, 0, 0, 0, 0
+                us % 2**32, 0, *self.outputs_us, 0, 0, 0, 0
             ),
             'RC_CHANNELS': lambda: mav.MAVLink_rc_channels_message(
-                ms, 8, *sticks, *([UNUSED] * 10), 255
+                ms, 8, *sticks(), *([UNUSED] * 10), 255
             ),
-            'RC_CHANNELS_RAW': lambda: mav.MAVLink_rc_channels_raw_message(ms, 0, *sticks, 255),
+            'RC_CHANNELS_RAW': lambda: mav.MAVLink_rc_channels_raw_message(ms, 0, *sticks(), 255),
             'MANUAL_CONTROL': lambda: mav.MAVLink_manual_control_message(1, 200, 0, -600, -100, 0),
             'VFR_HUD': lambda: mav.MAVLink_vfr_hud_message(0.0, 0.0, 17, 20, 0.0, 0.0),
             'SCALED_PRESSURE': lambda: mav.MAVLink_scaled_pressure_message(ms, 990.0, 0.0, 2000),

@@ -4,6 +4,7 @@ a probe in it and nodes as processes.
 Two checkouts may be tested on one machine at the same time, beside a demo and other nodes.
 """
 
+import gc
 import importlib.util
 import itertools
 import os
@@ -52,6 +53,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         definitions = item._fixtureinfo.name2fixturedefs.values()
         if any(made[-1].scope == 'module' for made in definitions):
             item.add_marker(pytest.mark.xdist_group(item.path.name))
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: no search for garbage goes through it, of which pytest makes five
+    at its end."""
+    gc.freeze()
 
 
 @pytest.fixture(scope='session')

@@ -238,11 +238,11 @@ def clone(part):
     """A copy whose containers are its own."""
     if isinstance(part, Store):
         return Store.from_buffer_copy(part)
-    new = object.__new__(type(part))  # as copy.copy does, at a quarter of its cost
-    vars(new).update({
-        name: value.copy() if type(value) in {dict, list} else value
-        for name, value in vars(part).items()
-    })  # fmt: skip
+    new = object.__new__(type(part))  # as copy.copy does, at a tenth of its cost
+    new.__dict__ = held = vars(part).copy()
+    for name, value in held.items():
+        if type(value) is dict or type(value) is list:
+            held[name] = value.copy()
     return new
 
 

@@ -24,16 +24,17 @@ from flight_controller import Pty
 
 from quad_bridge.craft import X
 from quad_bridge.lockstep import START_NS, WIRE
-from quad_bridge.virtual import hil
 from quad_bridge.virtual.aircraft import Aircraft
+from quad_bridge.virtual.cycle import NORMALS_PER_STEP, move_cycle
 from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.physics import POSITION, QUAT, RATES, VELOCITY
 from quad_bridge.virtual.profile import load_profile
-from quad_bridge.virtual.receiver import Channels
+from quad_bridge.wire.axes import quaternion
 
 DT = 0.004
 DO_SET_MODE, REQUEST_MESSAGE, DENIED = 176, 512, 2
-FRD = np.array([1.0, -1.0, -1.0])
+DRAWN = 250  # cycles whose random numbers are drawn at once
+MIXER = X.mixer.tolist()
 OUTPUTS = (2, 0, 3, 1)
 """Motor of the contract's frame (rear left, rear right, front right, front left) at each output of
 PX4's Quad X: front right, rear left, front left, rear right."""
@@ -79,6 +80,16 @@ FLYING_ARDUPILOT = replace(ARDUPILOT, most_hz={**ARDUPILOT.most_hz, **MORE_HZ}, 
     **ARDUPILOT.parameters, **ARDUPILOT_GAINS, 'FRAME_TYPE': 18,
 })  # fmt: skip
 ARDUPILOT_OUTPUTS = (1, 2, 0, 3)  # BetaflightX, reversed: rear right, front right, rear left …
+PX4_LOOPS = [
+    [f'MC_{a}_P', f'MC_{a}RATE_MAX', *(f'MC_{a}RATE_{n}' for n in ('K', 'P', 'I', 'D', 'FF')),
+     f'MC_{a[0]}R_INT_LIM', 'IMU_DGYRO_CUTOFF'] for a in ('ROLL', 'PITCH', 'YAW')
+]  # fmt: skip
+ARDUPILOT_LOOPS = [
+    [f'ATC_ANG_{a}_P', *(f'ATC_RAT_{a}_{n}' for n in
+                         ('P', 'I', 'D', 'FF', 'IMAX', 'FLTT', 'FLTE', 'FLTD'))]
+    for a in ('RLL', 'PIT', 'YAW')
+]  # fmt: skip
+"""The parameters of each axis, in the order in which the loops name them."""
 
 
 def turned(w, x, y, z):
@@ -111,7 +122,7 @@ class Flying(Autopilot):
                            for n, v in self.parameters.items()}  # fmt: skip
         profile = replace(load_profile('plain'), mount='hover')
         self.craft = Aircraft(profile, seed=1)
-        self.rng = np.random.default_rng(1)
+        self.rng, self.drawn = np.random.default_rng(1), iter(())
         self.uid = uid
         self.outputs = OUTPUTS if self.px4 else ARDUPILOT_OUTPUTS
         self.pilot_mode = POSITION_MODE if self.px4 else STABILIZE
@@ -122,11 +133,11 @@ class Flying(Autopilot):
         """The last SET_ATTITUDE_TARGET, and when they came."""
         self.written = []  # PARAM_SET as they were taken: name and value
         self.rows, self.said = [], []  # of its log: a row per cycle; SIDS
-        self.filters = [[Low() for _ in range(5)] for _ in range(3)]
-        self.gyro = [Low(), Low()]
-        self.integral, self.before = np.zeros(3), np.zeros(3)
-        self.measured, self.torque, self.motors = np.zeros(3), np.zeros(3), np.zeros(4)
-        self.rate_sp, self.att_sp, self.thrust = np.zeros(3), np.zeros(3), 0.0
+        self.filters = [[Low() for _ in range(3)] for _ in range(3)]
+        self.gyro = [[Low() for _ in range(3)] for _ in range(2)]
+        self.integral, self.before = [0.0] * 3, [0.0] * 3
+        self.measured, self.torque, self.motors = [0.0] * 3, [0.0] * 3, [0.0] * 4
+        self.rate_sp, self.att_sp, self.thrust = [0.0] * 3, [0.0] * 3, 0.0
         self.heading = None
         self.sid_s = None
         self.injected = 0.0
@@ -159,7 +170,7 @@ class Flying(Autopilot):
 
     def land(self):
         self.armed, self.up_s, self.mode = False, -1.0, self.pilot_mode
-        self.motors = np.zeros(4)
+        self.motors = [0.0] * 4
         self.log, self.landed_s = self.finished_log(), self.now_s
 
     def cycle(self):
@@ -171,54 +182,60 @@ class Flying(Autopilot):
             out += self.pack(self.sending.popleft())
         return out
 
-    @property
-    def rates(self):
-        return self.craft.machine.state[RATES : RATES + 3] * FRD
-
     def turn(self):
-        """Note roll, pitch, yaw, FRD in NED."""
-        roll, pitch, yaw = turned(*self.craft.machine.state[QUAT : QUAT + 4])
-        self.angles = np.array([roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)])
+        """Note the state, and roll, pitch, yaw, FRD in NED."""
+        self.state = self.craft.machine.state.tolist()
+        roll, pitch, yaw = turned(*self.state[QUAT : QUAT + 4])
+        self.angles = [roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)]
+
+    def draw(self):
+        """The random numbers of the next cycle: the physics', and noise of the rates."""
+        drawn = next(self.drawn, None)
+        if drawn is None:
+            steps = self.craft.profile.firmware.physics_steps_per_cycle
+            self.drawn = zip(self.rng.standard_normal((DRAWN, steps * NORMALS_PER_STEP)),
+                             (0.004 * self.rng.standard_normal((DRAWN, 3))).tolist(), strict=True)
+            drawn = next(self.drawn)
+        return drawn
 
     def step_physics(self):
-        self.craft.measure(Channels())  # draws this cycle's noise
-        noisy = self.rates + 0.004 * self.rng.standard_normal(3)
+        normals, noise = self.draw()
+        p, q, r = self.state[RATES : RATES + 3]
         cut = self.parameters['IMU_GYRO_CUTOFF' if self.px4 else 'INS_GYRO_FILTER']
-        self.measured = self.gyro[1](self.gyro[0](noisy, 1.5 * cut), 1.5 * cut)
+        first, second = self.gyro
+        self.measured = [second[i](first[i](rate + noise[i], 1.5 * cut), 1.5 * cut)
+                         for i, rate in enumerate((p, -q, -r))]
         self.follow()
         self.control()
         self.note_log()
-        u = np.array([self.thrust, *(self.scale * self.torque * FRD)])
-        self.motors = np.clip(X.mixer @ u, 0.0, 1.0)
-        self.craft.move(hil.Motors(0, tuple(self.motors), 0, 0, 0))
+        flat, yaw = (math.sqrt(0.5), 1.0) if self.px4 else (0.5, 0.5)
+        u1, u2, u3, u4 = (self.thrust, flat * self.torque[0], -flat * self.torque[1],
+                          -yaw * self.torque[2])
+        self.motors = [min(max(a * u1 + b * u2 + c * u3 + d * u4, 0.0), 1.0)
+                       for a, b, c, d in MIXER]
+        move_cycle(self.craft.machine, self.step, np.array(self.motors), normals)
         self.turn()
-
-    @property
-    def scale(self):
-        return np.array([math.sqrt(0.5)] * 2 + [1.0]) if self.px4 else np.full(3, 0.5)
 
     def follow(self):
         """What the loops are to follow in this mode: attitude or rates, and thrust."""
-        state, angles = self.craft.machine.state, self.angles
-        self.heading = angles[2] if self.heading is None else self.heading
-        held = self.craft.hover_throttle - 0.05 * state[POSITION + 2] - 0.06 * state[VELOCITY + 2]
+        (x, y, z), (vx, vy, vz) = (self.state[at : at + 3] for at in (POSITION, VELOCITY))
+        self.heading = self.angles[2] if self.heading is None else self.heading
+        held = self.craft.hover_throttle - 0.05 * z - 0.06 * vz
         self.thrust, self.rate_only = min(max(held, 0.1), 0.9), None
-        lean = np.radians(30.0) * np.array(self.sticks[:2])
+        lean = [math.radians(30.0) * stick for stick in self.sticks[:2]]
         if self.mode in {POSITION_MODE, LOITER}:
-            x, y = state[POSITION : POSITION + 2]
-            vx, vy = state[VELOCITY : VELOCITY + 2]
-            lean += np.clip([0.05 * y + 0.1 * vy, 0.05 * x + 0.1 * vx], -0.2, 0.2)
-        self.att_sp = np.array([lean[0], lean[1], self.heading])
-        fresh = self.target is not None and self.now_s - self.targets[-1] < 1.0
+            back = (0.05 * y + 0.1 * vy, 0.05 * x + 0.1 * vx)
+            lean = [at + min(max(more, -0.2), 0.2) for at, more in zip(lean, back, strict=True)]
+        self.att_sp = [*lean, self.heading]
         if self.mode in {OFFBOARD, GUIDED_NOGPS}:
-            if not fresh:
+            if self.target is None or self.now_s - self.targets[-1] >= 1.0:
                 self.mode = self.pilot_mode
                 return
             if self.target.type_mask & 7 == 7:
-                self.att_sp = np.array(turned(*self.target.q))
+                self.att_sp = turned(*self.target.q)
             else:
-                self.rate_only = np.array([self.target.body_roll_rate, self.target.body_pitch_rate,
-                                           self.target.body_yaw_rate])  # fmt: skip
+                self.rate_only = (self.target.body_roll_rate, self.target.body_pitch_rate,
+                                  self.target.body_yaw_rate)
             if self.mode == OFFBOARD:
                 self.thrust = self.target.thrust
         if self.mode == SYSTEM_ID:
@@ -241,40 +258,36 @@ class Flying(Autopilot):
         self.injected = p['SID_MAGNITUDE'] * window * math.sin(phase)
 
     def control(self):
-        wrap = [math.remainder(v, math.tau) for v in self.att_sp - self.angles]
-        p, extra = self.parameters, np.zeros(3)
-        for i, (a, b) in enumerate(zip(('ROLL', 'PITCH', 'YAW'), ('RLL', 'PIT', 'YAW'),
-                                       strict=True)):  # fmt: skip
-            k = (lambda n, a=a: p[f'MC_{a}RATE_{n}']) if self.px4 else (
-                lambda n, b=b: p[f'ATC_RAT_{b}_{n}'])
-            angle = p[f'MC_{a}_P'] if self.px4 else p[f'ATC_ANG_{b}_P']
-            wanted = angle * wrap[i]
-            most = math.radians(p[f'MC_{a}RATE_MAX']) if self.px4 else 12.0
-            wanted = min(max(wanted, -most), most)
-            if self.rate_only is not None:
-                wanted = self.rate_only[i]
-            self.rate_sp[i] = wanted
-            low, y = self.filters[i], self.measured[i]
-            if self.px4:
-                error = wanted - y
-                d = low[0]((y - self.before[i]) / DT, p['IMU_DGYRO_CUTOFF'])
-                out = k('K') * (k('P') * error - k('D') * d) + self.integral[i] + k('FF') * wanted
-                self.integral[i] += k('K') * k('I') * error * DT
-                most = p[f'MC_{a[0]}R_INT_LIM']
-                self.before[i] = y
-            else:
-                target = low[0](wanted, k('FLTT'))
-                error = low[1](target - y, k('FLTE'))
-                d = low[2]((error - self.before[i]) / DT, k('FLTD'))
-                out = k('P') * error + k('D') * d + self.integral[i] + k('FF') * target
-                self.integral[i] += k('I') * error * DT
-                most = k('IMAX')
-                self.before[i] = error
-            self.integral[i] = min(max(self.integral[i], -most), most)
-            extra[i] = out
+        p, loop = self.parameters, self.px4_loop if self.px4 else self.ardupilot_loop
+        names = PX4_LOOPS if self.px4 else ARDUPILOT_LOOPS
+        out = []
+        for i in range(3):
+            wrap = math.remainder(self.att_sp[i] - self.angles[i], math.tau)
+            most = math.radians(p[names[i][1]]) if self.px4 else 12.0
+            wanted = min(max(p[names[i][0]] * wrap, -most), most)
+            self.rate_sp[i] = wanted if self.rate_only is None else self.rate_only[i]
+            torque, limit = loop(i, self.rate_sp[i], self.measured[i], *(p[n] for n in names[i]))
+            self.integral[i] = min(max(self.integral[i], -limit), limit)
+            out.append(torque)
         if self.mode == SYSTEM_ID:  # at the mixer's input
-            extra[int(p['SID_AXIS']) - 10] += self.injected
-        self.torque = np.where(np.isfinite(extra), np.clip(extra, -1.0, 1.0), 0.0)
+            out[int(p['SID_AXIS']) - 10] += self.injected
+        self.torque = [min(max(v, -1.0), 1.0) if math.isfinite(v) else 0.0 for v in out]
+
+    def px4_loop(self, i, wanted, y, _angle, _most, k, kp, ki, kd, ff, limit, cut):
+        error, d = wanted - y, self.filters[i][0]((y - self.before[i]) / DT, cut)
+        out = k * (kp * error - kd * d) + self.integral[i] + ff * wanted
+        self.integral[i] += k * ki * error * DT
+        self.before[i] = y
+        return out, limit
+
+    def ardupilot_loop(self, i, wanted, y, _angle, kp, ki, kd, ff, limit, fltt, flte, fltd):
+        target, error, slope = self.filters[i]
+        wanted = target(wanted, fltt)
+        e = error(wanted - y, flte)
+        out = kp * e + kd * slope((e - self.before[i]) / DT, fltd) + self.integral[i] + ff * wanted
+        self.integral[i] += ki * e * DT
+        self.before[i] = e
+        return out, limit
 
     # Its log.
 
@@ -344,7 +357,7 @@ class Flying(Autopilot):
 
     @property
     def pressure_hpa(self):
-        return 1000.0 - self.craft.machine.state[POSITION + 2] / 8.43
+        return 1000.0 - self.state[POSITION + 2] / 8.43
 
     def moves(self):
         return self.angles, self.measured
@@ -352,17 +365,17 @@ class Flying(Autopilot):
     def message(self, name):
         if name in INERTIAL:
             self.timed_us = self.now_us
-        ms, state = self.now_us // 1000 % 2**32, self.craft.machine.state
-        (e, n, u), (ve, vn, vu) = (state[at : at + 3] for at in (POSITION, VELOCITY))
-        made = {
-            'ATTITUDE_TARGET': lambda: mav.MAVLink_attitude_target_message(
-                ms, 0, quaternions(self.att_sp[None])[0], *self.rate_sp, self.thrust),
-            'LOCAL_POSITION_NED': lambda: mav.MAVLink_local_position_ned_message(
-                ms, n, e, -u, vn, ve, -vu),
-            'EXTENDED_SYS_STATE': lambda: mav.MAVLink_extended_sys_state_message(
-                0, 2 if self.in_air else 1),
-        }  # fmt: skip
-        return made[name]() if name in made else super().message(name)
+        ms = self.now_us // 1000 % 2**32
+        if name == 'ATTITUDE_TARGET':
+            x, y, z, w = quaternion(self.att_sp)
+            return mav.MAVLink_attitude_target_message(
+                ms, 0, (w, x, y, z), *self.rate_sp, self.thrust)
+        if name == 'LOCAL_POSITION_NED':
+            (e, n, u), (ve, vn, vu) = (self.state[at : at + 3] for at in (POSITION, VELOCITY))
+            return mav.MAVLink_local_position_ned_message(ms, n, e, -u, vn, ve, -vu)
+        if name == 'EXTENDED_SYS_STATE':
+            return mav.MAVLink_extended_sys_state_message(0, 2 if self.in_air else 1)
+        return super().message(name)
 
     def _answers(self, message):
         kind = message.get_type()

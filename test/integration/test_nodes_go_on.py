@@ -59,7 +59,10 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     values = until(OK, 'complete before this node began')
     assert values['bag'] == str(flown)
     assert values['report'] == str(tmp_path / 'report.1' / 'report.json')
-    roll = json.loads(Path(values['report']).read_text())['axes']['roll']
+    report = Path(values['report'])
+    assert report.with_name('report.html').exists()
+    assert [*report.parent.glob('pictures/roll_*.png')]
+    roll = json.loads(report.read_text())['axes']['roll']
     assert (roll['verdict'], roll['effects']) == ('no_missing_effect', [])
     assert roll['error']['after'] == pytest.approx(roll['error']['before'], rel=1e-12)
     found = {p['name']: p['value'] for p in roll['base']['parameters']}

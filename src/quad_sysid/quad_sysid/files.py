@@ -155,6 +155,16 @@ def check_place(place: Path, *, folder: bool = True) -> Path:
     return there
 
 
+def free_folder(path: Path) -> Path:
+    """`path`, or with .1, .2, … where that exists, so that nothing is overwritten."""
+    folder = path
+    number = 0
+    while folder.exists():
+        number += 1
+        folder = path.with_name(f'{path.name}.{number}')
+    return folder
+
+
 def make_folder(folder: Path, option: str = '--out') -> Path:
     """The folder, created if missing; raises BadInputError naming the option."""
     try:

@@ -33,6 +33,7 @@ from quad_bridge.status import ERROR, OK, WARN, Status
 from quad_bridge.topics import AIRCRAFT_LOG
 from quad_sysid import session
 from quad_sysid.errors import QuadSysidError
+from quad_sysid.files import free_folder
 from quad_sysid.result import Result
 
 PARAMETERS = ('out', 'axes', 'auto_update', 'train', 'validate', 'inertia', 'folder', 'bag')
@@ -192,8 +193,6 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _work(self, bag: str) -> None:
         """Runs outside the executor; leaves its result for `_collect`."""
-        from quad_sysid.report.store import free_folder
-
         default = Path(bag).with_name(f'{Path(bag).stem}_identified')
         folder = free_folder(Path(self._out) if self._out else default)
         try:
@@ -214,7 +213,6 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if values.get('state') != 'complete' or not isinstance(offset_s, float):
             return bag
         from quad_sysid.imports.log_of_flight import joined
-        from quad_sysid.report.store import free_folder
 
         out = free_folder(Path(bag).with_name(f'{Path(bag).stem}_log'))
         try:

@@ -23,6 +23,7 @@ from quad_sysid.axes import axis_of
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError, NoSuchAttributeError
+from quad_sysid.files import free_folder
 from quad_sysid.identified import Identified
 from quad_sysid.model import BEFORE, AxisModel, Designer, EffectEstimate
 from quad_sysid.record import Record
@@ -205,7 +206,7 @@ class Result:
         """
         from quad_sysid.report import store
 
-        place = Path(folder) if folder else store.free_folder(
+        place = Path(folder) if folder else free_folder(
             Path(f'{Path(self.flights[0]).resolve().stem}_identified')
         )
         store.write(place, self.report, self.answers, html=html, pictures=pictures,

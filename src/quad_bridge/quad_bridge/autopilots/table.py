@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +78,7 @@ class Table:
                 if '{' in row.parameter or row.ours == D_FILTER:
                     yield f'{axis}.{row.ours}', i, row, row.name(self.axes[i])
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All parameters that are to be read."""
         names = [name for *_, name in self.of_axes()]
@@ -89,7 +90,7 @@ class Table:
         """All parameters that a log of any release may hold."""
         return (*self.names, *self.former)
 
-    @property
+    @cached_property
     def written(self) -> tuple[str, ...]:
         """Parameters that an update may write, which together are a set."""
         return tuple(dict.fromkeys(n for _, _, row, n in self.of_axes() if row.limits))

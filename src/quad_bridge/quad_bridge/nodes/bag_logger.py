@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from quad_bridge.errors import BadInputError, QuadBridgeError
-from quad_bridge.lockstep import clock
+from quad_bridge.lockstep import STREAMS, clock
 from quad_bridge.log.disk import MB, free_bytes
 from quad_bridge.log.recording import Gaps, Recording, RecordingStatus, recording_status
 from quad_bridge.log.writer import Limits, free_paths, new_bag
@@ -72,7 +72,7 @@ class BagLogger(ManagedNode):
         self._descriptions: dict[bytes, bool] = {}  # descriptions heard, and whether they count
         self._recording: Recording | None = None
         self._subscribed: dict[str, tuple[Any, Any]] = {}
-        self._aside = None if clock().simulated else Aside()  # in lockstep each one is waited for
+        self._aside = Aside()
         self._gaps: dict[str, Gaps] = {}
         self._numbered: set[str] = set()  # topics whose messages come with a publisher's number
         self._foreign: set[tuple[str, str]] = set()  # topics with a foreign type, reported once
@@ -96,8 +96,7 @@ class BagLogger(ManagedNode):
         self._waits = self._autostart
         self._start_by_itself()
         self.timer(1.0, self._on_report)
-        if self._aside is not None:
-            self.timer(LOOK_S, self._look)
+        self.timer(LOOK_S, self._look)
 
     def deactivate(self) -> None:
         """End a running recording and see that `/logger/bag` is delivered."""
@@ -161,10 +160,10 @@ class BagLogger(ManagedNode):
         return path
 
     def _stop(self, recording: Recording) -> RecordingStatus:
-        self._look()
-        self._recording = None
-        for subscription, _ in self._subscribed.values():
+        for topic, (subscription, _) in self._subscribed.items():
+            self._take(topic, subscription)
             self.destroy_subscription(subscription)
+        self._recording = None
         self._subscribed.clear()
         self._gaps.clear()
         self._numbered.clear()
@@ -184,12 +183,13 @@ class BagLogger(ManagedNode):
             self.destroy_subscription(subscription)
         package, _, kind = TOPIC_TYPES[topic].split('/')
         lost = SubscriptionEventCallbacks(message_lost=partial(self._lose, topic))
+        is_waited_for = clock().simulated and topic in STREAMS
         subscription = self.create_subscription(
             getattr(importlib.import_module(f'{package}.msg'), kind), relative(topic),
             partial(self._receive, topic), qos, raw=True, event_callbacks=lost,
-            callback_group=self._aside,
+            callback_group=None if is_waited_for else self._aside,
         )  # fmt: skip
-        self.poll_rarely(subscription)
+        ros_node.poll_rarely(subscription)
         self._subscribed[topic] = subscription, qos
 
     def _offers(self, topic: str) -> list[Any]:
@@ -207,9 +207,10 @@ class BagLogger(ManagedNode):
                 )
 
     def _look(self) -> None:
-        """Record what has come since the last look."""
+        """Record what has come since the last look; what wakes the executor is taken there."""
         for topic, (subscription, _) in self._subscribed.items():
-            self._take(topic, subscription)
+            if subscription.callback_group is self._aside:
+                self._take(topic, subscription)
 
     def _take(self, topic: str, subscription: Any) -> None:
         for data, info in waiting(subscription, STREAM.depth):

@@ -6,7 +6,6 @@ services are rclpy's. No topics here.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,34 +14,13 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 
 from quad_bridge.errors import QuadBridgeError, RefusedError
-from quad_bridge.lockstep import clock
+from quad_bridge.lockstep import STREAMS, clock
 from quad_bridge.nodes import ros_node
 from quad_bridge.nodes.fence import Fence
 from quad_bridge.nodes.node_time import TimedNode
 from quad_bridge.status import WARN, Status
 
 MAX_BYTES = 65_536  # largest message: all gains at once are a tenth of that
-IDLE_POLL_S, LOOK_S = 1.0, 0.02  # how often, and for how long
-
-
-class RarePolling(ReentrantCallbackGroup):  # type: ignore[misc]
-    """Entities that the executor looks at for a moment every second.
-
-    rclpy waits for two events of QoS at each publisher and subscription, and pays for each of them
-    with every message that the node receives.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._next_s = self._until_s = 0.0
-
-    def can_execute(self, entity: Any) -> bool:
-        """Whether it is looked at now."""
-        del entity
-        now_s = time.monotonic()
-        if now_s >= self._next_s:
-            self._next_s, self._until_s = now_s + IDLE_POLL_S, now_s + LOOK_S
-        return now_s < self._until_s
 
 
 class Aside(ReentrantCallbackGroup):  # type: ignore[misc]
@@ -83,7 +61,6 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
             self, 'managed', False, 'wait for a lifecycle manager to configure and activate'
         )
         self._fault: Exception | None = None
-        self._rare = RarePolling()
         self._entities: list[tuple[Callable[[Any], object], Any]] = []  # destroyer, entity
         self._configured = 0  # so many of them `configure` has created
 
@@ -107,7 +84,7 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     def stream(self, kind: Any, topic: str, qos: Any) -> Callable[[bytes], None]:
         """Create a publisher of serialised messages; what publishes one."""
         made = self.publisher(kind, topic, qos)
-        if clock().simulated:
+        if clock().simulated and topic in STREAMS:  # it reports what it publishes
             return made.publish  # type: ignore[no-any-return]
         handle = made.handle
 
@@ -150,14 +127,8 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
 
     def _keep(self, entity: Any, destroy: Callable[[Any], object]) -> Any:
         self._entities.append((destroy, entity))
-        self.poll_rarely(entity)
+        ros_node.poll_rarely(entity)
         return entity
-
-    def poll_rarely(self, entity: Any) -> None:
-        """Have the executor look seldom at the events of a publisher or subscription."""
-        for handler in getattr(entity, 'event_handlers', ()):
-            handler.callback_group = self._rare
-            self._rare.add_entity(handler)
 
     def _destroy(self, first: int) -> None:
         """Destroy all entities from the one of this number on, the last one first."""
@@ -195,10 +166,8 @@ class ManagedNode(TimedNode, LifecycleNode):  # type: ignore[misc]
     # rclpy's transitions.
 
     def on_configure(self, _state: Any) -> Any:
-        """Configure, and look seldom at the events of the entities."""
+        """Configure."""
         answer = self._try(self.configure)
-        for publisher in self.publishers:  # rclpy's own too
-            self.poll_rarely(publisher)
         self._configured = len(self._entities)
         if self._fault is not None:
             self._destroy(0)

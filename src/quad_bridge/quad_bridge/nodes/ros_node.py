@@ -14,6 +14,7 @@ import re
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -22,6 +23,7 @@ import rclpy
 import yaml
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -34,6 +36,7 @@ from quad_bridge.errors import BadInputError, QuadBridgeError
 from quad_bridge.nodes.fence import Fence
 
 T = TypeVar('T', str, bool, int, float, list[str])
+IDLE_POLL_S, LOOK_S = 1.0, 0.02  # how often, and for how long, events are looked at
 WAKE_S = 0.5  # how long a signal may wait: rclpy's wait does not return for one
 RCLError = rclpy_implementation.RCLError
 WRONG = (QuadBridgeError, ParameterException, NameValidationException)
@@ -57,6 +60,37 @@ def overrides(node: Any) -> dict[str, Any]:
         parameters = node.handle.get_parameters(Parameter)
     overrides = getattr(node, 'own_overrides', {})
     return {name: parameter.value for name, parameter in parameters.items()} | overrides
+
+
+class RarePolling(ReentrantCallbackGroup):  # type: ignore[misc]
+    """Entities that the executor looks at for a moment every second.
+
+    rclpy waits for two events of QoS at each publisher and subscription, and pays for each of them
+    with every message that the node receives.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._next_s = self._until_s = 0.0
+
+    def can_execute(self, entity: Any) -> bool:
+        """Whether it is looked at now."""
+        del entity
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s, self._until_s = now_s + IDLE_POLL_S, now_s + LOOK_S
+        return now_s < self._until_s
+
+
+def poll_rarely(*entities: Any) -> None:
+    """Have the executor look seldom at the events of publishers and subscriptions."""
+    for entity in entities:
+        for handler in getattr(entity, 'event_handlers', ()):
+            handler.callback_group = _RARELY
+            _RARELY.add_entity(handler)
+
+
+_RARELY = RarePolling()
 
 
 def refuse_unknown(node: Any, known: Iterable[str]) -> None:
@@ -204,6 +238,7 @@ def run(factory: Callable[[], Any], name: str) -> NoReturn:
             executor = SingleThreadedExecutor()
             ending.callback(executor.shutdown, timeout_sec=0)
             for other in nodes:
+                poll_rarely(*other.publishers, *other.subscriptions)  # rclpy's own too
                 for service in other.services:
                     service.callback = answering(service.callback, fence)
                 executor.add_node(other)

@@ -21,16 +21,6 @@ from quad_sysid.report.model_file import save_models, tree_of
 from quad_sysid.whole import URDF
 
 
-def free_folder(path: Path) -> Path:
-    """`path`, or with .1, .2, … where that exists, so that nothing is overwritten."""
-    folder = path
-    number = 0
-    while folder.exists():
-        number += 1
-        folder = path.with_name(f'{path.name}.{number}')
-    return folder
-
-
 def clear(folder: Path) -> None:
     """Remove what an earlier report left in a folder, and nothing else: an answer may lack files.
 

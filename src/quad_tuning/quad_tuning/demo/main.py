@@ -15,7 +15,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 
-from quad_sysid.report.store import free_folder
+from quad_sysid.files import free_folder
 from quad_tuning.demo.observer import Observer
 from quad_tuning.demo.processes import Crew, StageFailedError, own_domain
 from quad_tuning.demo.stages import (
