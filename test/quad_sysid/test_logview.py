@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -51,6 +52,7 @@ class Loop:
         return seen, u
 
 
+@cache
 def flown(seed=1, kp=(KP, KP), noise=0.01):
     """(set-point, rate, command) of a pilot's flight; the second half with another kp."""
     rng = np.random.default_rng(seed)
@@ -67,10 +69,10 @@ def flown(seed=1, kp=(KP, KP), noise=0.01):
     pushes = 2.0 * rng.standard_normal(n)
     loops = Loop(kp[0])
     out = np.empty((n, 2))
-    for k in range(n):
+    for k, now in enumerate(zip(asked.tolist(), white.tolist(), pushes.tolist(), strict=True)):
         if k == n // 2:
             loops.kp = kp[1]
-        out[k] = loops.cycle(asked[k], white[k], pushes[k])
+        out[k] = loops.cycle(*now)
     return asked, out[:, 0], out[:, 1]
 
 

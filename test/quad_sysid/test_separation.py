@@ -59,7 +59,7 @@ def test_what_flies_is_what_identification_fits(name):
     count = found.base.theta.size - len(Structure().noise)
     start = np.r_[found.base.theta[:count], own, found.base.theta[count:]]
     fitted = fit(problem, Structure((acting.part,)), start, rate=found.base.rate)
-    where = fitted.structure.slices()[0]
+    where = fitted.structure.slices[0]
     spread = np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))[where]
     np.testing.assert_array_less(np.abs(fitted.theta[where] - own), 4.0 * spread + 1e-6)
 

@@ -239,7 +239,7 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     """
     structure, theta = (problem.plain, start_of(problem)) if fitted is None else (
         fitted.structure, fitted.theta)
-    sizes, where = problem.sizes(structure), structure.placed()[0][1]
+    sizes, where = problem.sizes(structure), structure.placed[0][1]
     prediction = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
     if prediction.jacobian is None:
         raise NotInformativeError(f'base {base.name}: it runs away at the start values; start '
