@@ -122,7 +122,8 @@ def model_with_rival(probability: float) -> AxisModel:
     )
 
 
-def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
+def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed, monkeypatch):
+    monkeypatch.setattr(design, 'FITTED', 1)
     model, out = tmp_path / 'model.json', tmp_path / 'schedule.yaml'
     save_models({'roll': model_with_rival(0.3)}, model)
     said = printed(main, 'design-excitation', '--separate', '--model', model, '--seconds', 10,

@@ -188,8 +188,9 @@ class _Law(Effect):
         x, u = self._states_and_inputs(s, settings)
         x |= {name: required(s.hidden)[i] for i, name in enumerate(self.base.hidden)}
         slope = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
-        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
-                        dtype=np.float64)
+        out = np.empty(s.rate.shape)
+        out[...] = self.units.per_rate * np.asarray(slope)
+        return out
 
     def _step(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
         """Hidden states a cycle later: by the midpoint rule, or by the base's step."""
