@@ -357,7 +357,7 @@ def _sums(
         for delay, parts in blocks.items():
             delayed = np.zeros((n, k))
             delayed[delay : delay + len(mean)] = mean[: n - delay]
-            centred_parts = [(_centred(delayed[rows]), y) for rows, y in parts]
+            centred_parts = [(_centred(delayed.take(rows, axis=0)), y) for rows, y in parts]
             sums = [(x.T @ x, x.T @ y, float(y @ y)) for x, y in centred_parts]
             products.append(tuple(map(np.array, zip(*sums, strict=True))))
     return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))

@@ -344,14 +344,14 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     damping, converged = 1e-3, False
     for _ in range(max_steps):
         e = predicted.innovation[problem.rows]
-        j = required(predicted.jacobian)[problem.rows]
+        j = required(predicted.jacobian).take(problem.rows, axis=0)
         j[:, list(fixed)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         from_prior = root @ (theta - centres)
         rows, column = j * w[:, None], e * w
         # a part that vanishes acts by its square: over its logarithm that curves by twice the
         # slope, of which the rows may see little
-        curves = 2.0 * (column @ rows) - np.sum(rows**2, axis=0)
+        curves = 2.0 * (column @ rows) - np.einsum('ij->j', rows**2)
         curvature = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
         blocks = (rows, column), (root, from_prior), (np.diag(curvature), np.zeros(curvature.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
@@ -383,7 +383,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         damping *= 0.15
     flight.rate = predicted.rate
     value += slowness(*structure.natural(theta)[[1, 3]])
-    j = required(predicted.jacobian)[problem.rows] * (math.sqrt(tail.information) / tail.scale)
+    j = required(predicted.jacobian).take(problem.rows, axis=0)
+    j *= math.sqrt(tail.information) / tail.scale
     r = upper(np.vstack([j, root]))
     evidence = (
         value + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))
