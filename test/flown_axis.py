@@ -84,32 +84,35 @@ def fly(axis: Axis, seed: int, plan: Plan | None = None) -> Record:
     gyro = axis.gyro_noise * rng.standard_normal(n)
     pushes = (axis.torque_noise / math.sqrt(h) * rng.standard_normal(n * SUBSTEPS)).tolist()
     times, volts = np.arange(n) * DT, np.linspace(*axis.volts, n)
-    rates, angles, commands = np.zeros(n), np.zeros(n), np.zeros(n)
+    wishes, shakes, clock, supply = (x.tolist() for x in (reference, gyro, times, volts))
+    rates, angles, commands = [], [], []
+    torque, damping, bias, gain = axis.torque, axis.damping, axis.bias, axis.gain
     rate = angle = drive = given = seen = seen_slope = 0.0
     taken, w = -1, 2.0 * math.pi * (axis.gyro_filter_hz or 0.0)
     keep_half, keep = math.exp(-0.5 * h / axis.lag_s), math.exp(-h / axis.lag_s)
     for k in range(n):
-        rates[k], angles[k] = (seen if w else rate) + gyro[k], angle
-        wanted = 3.0 * (reference[k] - angle)
-        commands[k] = min(max(0.06 * (wanted - rates[k]), -0.3), 0.3)
+        rates.append((seen if w else rate) + shakes[k])
+        angles.append(angle)
+        wanted = 3.0 * (wishes[k] - angle)
+        commands.append(min(max(0.06 * (wanted - rates[k]), -0.3), 0.3))
         for i in range(SUBSTEPS):
             sent = (k * SUBSTEPS + i - axis.delay_ms) // SUBSTEPS
             if sent > taken:
                 taken = sent
-                given = axis.command(float(times[sent]), float(commands[sent]), float(volts[sent]))
-            aim, t = axis.gain * given, k * DT + i * h
-            push = axis.bias + pushes[k * SUBSTEPS + i]
-            slope = drive + push - axis.damping * rate + axis.torque(t, rate, angle)
+                given = axis.command(clock[sent], commands[sent], supply[sent])
+            aim, t = gain * given, k * DT + i * h
+            push = bias + pushes[k * SUBSTEPS + i]
+            slope = drive + push - damping * rate + torque(t, rate, angle)
             r, a = rate + 0.5 * h * slope, angle + 0.5 * h * rate
             middle = aim + (drive - aim) * keep_half
             angle += h * r
-            rate += h * (middle + push - axis.damping * r + axis.torque(t + 0.5 * h, r, a))
+            rate += h * (middle + push - damping * r + torque(t + 0.5 * h, r, a))
             drive = aim + (drive - aim) * keep
             if w:
                 for _ in range(4):
                     seen_slope += 0.25 * h * w * (w * (rate - seen) - math.sqrt(2.0) * seen_slope)
                     seen += 0.25 * h * seen_slope
-    zero, others = np.zeros(n), axis.other_rates(times)
+    angles, zero, others = np.array(angles), np.zeros(n), axis.other_rates(times)
     leans = [np.cumsum(rate) * DT for rate in others]
     return Record(
         source=f'flight {seed}', dt=DT, t0_ns=10**18,

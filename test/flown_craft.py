@@ -56,34 +56,37 @@ def fly(airframe: Airframe, seed: int, seconds: float = 26.0) -> dict[str, np.nd
                         turn / np.abs(turn).sum()])
     spread = np.stack([left / np.abs(left).max(), -forward / np.abs(forward).max(), turn], axis=1)
     lags = np.array([airframe.lags_s.get(i, airframe.lag_s) for i in range(k)])
-    h = DT / SUBSTEPS
-    keep = np.exp(-h / lags)
+    reaction = airframe.push[2] * airframe.reaction_s * turn / np.abs(turn).sum()
+    push, damping = np.array(airframe.push), np.array(airframe.damping)
+    # a cycle at once: motors at the middle of each substep, and rates at its end by all torques
+    h, step = DT / SUBSTEPS, np.arange(SUBSTEPS)[:, None]
+    middles, keep = np.exp(-h * (step + 0.5) / lags), np.exp(-DT / lags)
+    fall, since = 1.0 - h * damping, (step - step.T)[:, :, None]
+    falls = fall ** (step + 1)
+    passed_on = np.where(since < 0, 0.0, h * fall ** np.maximum(since, 0))
     wanted = np.zeros((n, 3))
     for axis, (size, held) in enumerate(((1.0, 12), (0.5, 40), (0.3, 90))):
         steps = rng.choice([-1.0, -0.4, 0.4, 1.0], n // held + 1)
         wanted[:, axis] = np.repeat(size * steps, held)[:n]
-    rates, motors, speeds = np.zeros((n, 3)), np.zeros((n, k)), np.zeros((n, k))
-    rate, speed, kp = np.zeros(3), np.full(k, 0.5), np.array([0.05, 0.05, 0.1])
-    angle, angles = np.zeros(3), np.zeros((n, 3))
+    noise = rng.standard_normal((n, 6 + k))
+    gusts = airframe.torque_noise / math.sqrt(DT) * noise[:, 3 + k :]
+    rates, angles, speeds = airframe.rate_noise * noise[:, :3], np.zeros((n, 3)), np.zeros((n, k))
+    motors, throttle = np.zeros((n, k)), 0.5 + 0.03 * np.sin(1.7 * DT * np.arange(n))
+    rate, angle, speed, kp = np.zeros(3), np.zeros(3), np.full(k, 0.5), np.array([0.05, 0.05, 0.1])
     for i in range(n):
-        angles[i] = angle
-        rates[i] = rate + airframe.rate_noise * rng.standard_normal(3)
-        speeds[i] = airframe.full_rad_s * speed + 0.5 * rng.standard_normal(k)
+        angles[i], speeds[i] = angle, speed
+        rates[i] += rate
         reference = airframe.reach * 8.0 * wanted[i] - 2.0 * angle
-        command = np.clip(kp * (reference - rates[i]), -0.15, 0.15)
-        throttle = 0.5 + 0.03 * math.sin(1.7 * i * DT)
-        motors[i] = np.clip(throttle + spread @ command, 0.0, 1.0)
-        sent = motors[max(0, i - airframe.delay_cycles)].copy()
+        command = (kp * (reference - rates[i])).clip(-0.15, 0.15)
+        motors[i] = (throttle[i] + spread @ command).clip(0.0, 1.0)
+        sent = motors[max(0, i - airframe.delay_cycles)]
         if airframe.stops is not None and airframe.stops[1] <= i * DT < airframe.stops[2]:
-            sent[airframe.stops[0]] = 0.0
-        gust = airframe.torque_noise / math.sqrt(DT) * rng.standard_normal(3)
-        for _ in range(SUBSTEPS):
-            middle = sent + (speed - sent) * np.sqrt(keep)
-            thrust = middle**2 if airframe.squared else middle
-            torque = np.array(airframe.push) * (weights @ thrust) + gust
-            change = weights[2] @ ((sent - middle) / lags)
-            torque[2] += airframe.push[2] * airframe.reaction_s * change
-            rate = rate + h * (torque - np.array(airframe.damping) * rate)
-            angle = angle + h * rate
-            speed = sent + (speed - sent) * keep
+            sent = np.where(np.arange(k) == airframe.stops[0], 0.0, sent)
+        middle = sent + (speed - sent) * middles
+        torque = push * ((middle**2 if airframe.squared else middle) @ weights.T) + gusts[i]
+        torque[:, 2] += ((sent - middle) / lags) @ reaction
+        path = falls * rate + (passed_on * torque).sum(axis=1)
+        rate, angle = path[-1], angle + h * path.sum(axis=0)
+        speed = sent + (speed - sent) * keep
+    speeds = airframe.full_rad_s * speeds + 0.5 * noise[:, 3 : 3 + k]
     return {'rates': rates, 'angles': angles, 'motors': motors, 'speeds': speeds}

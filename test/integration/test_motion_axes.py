@@ -43,7 +43,7 @@ GROUND = Effects(ground=Ground(enabled=True, rotor_radius_m=RADIUS, rotor_height
                                height_m=STANDING - HEIGHT))
 DRAG = Effects(air_drag=AirDrag(enabled=True))
 BODY = load_profile('plain').airframe
-PARTS = (('train', 2.0, 34.0), ('validation', 37.0, 18.0))
+PARTS = (('train', 2.0, 26.0), ('validation', 29.0, 13.0))
 
 
 def levels(seconds, shortest, longest, seed):
@@ -66,7 +66,7 @@ def flown(effects, axis, seed=1):
                  axis='climb' if climbs else 'pitch', role=role,
                  injection='control' if climbs else 'attitude')
          for k, (role, start, length) in enumerate(PARTS)],
-        56.0, seed,
+        43.0, seed,
     )  # fmt: skip
     rng, n = np.random.default_rng(seed), flight.time_s.size
     yaw, (x, y, z) = flight.true_angles[:, 2], flight.velocity_m_s.T

@@ -172,7 +172,7 @@ def test_what_changes_between_flights_may_be_the_aircraft(flights, label, lines)
     effect = next(one for one in EFFECTS if one.label == label)
     chosen = SimpleNamespace(theta=None, structure=SimpleNamespace(
         natural=lambda _: np.ones(len(effect.parameters)),
-        effects=lambda: [(SimpleNamespace(effect=effect), slice(None))]))
+        effects=[(SimpleNamespace(effect=effect), slice(None))]))
     whole = SimpleNamespace(flights=((0, 9),) * flights), None
     answer = SimpleNamespace(findings=SimpleNamespace(
         verdict=SimpleNamespace(chosen=chosen),

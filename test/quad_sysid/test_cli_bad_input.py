@@ -82,7 +82,9 @@ def test_a_place_that_cannot_be_written_is_said_before_the_work(
 
 
 @pytest.mark.parametrize('name', ['report.html', 'report.json', 'guide.md'])
-def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, refused, tmp_path, name):
+def test_a_folder_of_other_things_is_no_place_for_a_report(
+    plain_bag, refused, tmp_path, capsys, name
+):
     out = tmp_path / 'docs'
     out.mkdir()
     (out / name).write_text('{"schema": "mine"}')
@@ -91,7 +93,8 @@ def test_a_folder_of_other_things_is_no_place_for_a_report(plain_bag, refused, t
     assert error == (f'quad-sysid: {out}: holds files, but no report of an identification: '
                      f'found {name}; name a new folder, or an empty one\n')
     (out / name).unlink()
-    assert main(['identify', str(plain_bag), '--axis', 'yaw', '--quiet', '--out', str(out)]) == 3
+    assert main(['identify', str(plain_bag), '--axis', 'yaw', '--out', str(out)]) == 3
+    assert 'no training segment is on this axis' in ' '.join(capsys.readouterr().out.split())
 
 
 def test_evaluate_answers_the_axes_it_can_and_names_the_others(

@@ -630,7 +630,7 @@ def test_a_gain_that_wanders_is_drawn_over_all_flights_one_after_another():
         label = f'shape:gain:time/{how}'
         parts, _ = candidates(problem, [e for e in EFFECTS if e.label == label])
         structure = Structure(tuple(parts))
-        theta = np.insert(base.theta, 5, np.zeros(structure.slices()[0].stop - 5))
+        theta = np.insert(base.theta, 5, np.zeros(structure.slices[0].stop - 5))
         shown = replace(base, structure=structure, theta=theta)
         drawn[how] = over(Replay(problem, shown), parts[0]).values
     assert (np.diff(drawn['wandering']) >= 0.0).all()

@@ -102,7 +102,7 @@ def test_a_rung_starts_where_the_search_was_if_that_is_nearer(rubbed_answer):
     astray[:2] = 0.1 * astray[0], astray[1] + np.log(30.0)
     models = Models(told.search, Projection(told.problem, reference))
     climb = _Climb(models, told.search, parts, base.total)
-    (part,), (where,) = first.structure.parts, first.structure.slices()
+    (part,), (where,) = first.structure.parts, first.structure.slices
     trial = climb.extended(replace(base, theta=astray), part, first.theta[where])
     assert trial.total < 0.01 * base.total
 

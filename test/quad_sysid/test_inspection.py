@@ -10,6 +10,7 @@ from flown_craft import DT as STEP_S
 from flown_craft import Airframe, X
 from flown_craft import fly as flown
 
+import quad_sysid as qs
 from quad_sysid.bags import write_bag
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER
@@ -71,17 +72,17 @@ def test_an_axis_and_its_uses(record, tmp_path):
     assert 'throttle stays' in uses['find thrust curve'].because
     assert 'only: the voltage moves by' in uses['find battery sag'].because
     of_angle = 'find effects of the measured angle'
-    (blind,) = content(write_bag(replace(record, angles=None), tmp_path / 'blind')).axes
+    (blind,) = qs.inspect(replace(record, angles=None)).axes
     allowed = {use.name: use.possible for use in blind.uses}
     assert (uses[of_angle].possible, allowed['identify roll'], allowed[of_angle]) == (
         True, True, False)
-    (unasked,) = content(write_bag(replace(record, attitude_setpoint=None), tmp_path / 'un')).axes
+    (unasked,) = qs.inspect(replace(record, attitude_setpoint=None)).axes
     allowed = {use.name: use.possible for use in unasked.uses}
     assert (allowed['closed-loop check'], allowed['gain design']) == (False, True)
 
 
 @pytest.mark.usefixtures('quick')
-def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path, capsys):
+def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path):
     """Its feedback makes noise coherent with itself, and the motors explain its change."""
     rates, control = record.rates.copy(), record.control.copy()
     rates[:, 1:] = 0.005 * np.random.default_rng(7).standard_normal((record.n, 2))
@@ -99,9 +100,7 @@ def test_an_axis_that_is_held_is_refused_as_by_identify(record, tmp_path, capsys
             f'identify {axis}'].because
         assert one.coherent_band_rad_s is None
     assert not [line for line in seen.warnings if 'motor_' in line or '--mixer' in line]
-    out = tmp_path / 'out'
-    assert main(['identify', str(path), '--axis', 'pitch', '--no-effects', '--out', str(out)]) == 3
-    said = ' '.join(capsys.readouterr().out.split())
+    said = ' '.join(str(qs.identify(path, 'pitch', effects=())).split())
     assert 'the commands do not predict the held-out rates better' in said
 
 

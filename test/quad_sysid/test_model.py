@@ -85,7 +85,7 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
 
 def test_friction_is_found_where_the_rate_carries_no_noise():
     """As of a simulation, or of positions that were smoothed: no noise may run away with it."""
-    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1)
+    flight = fly(Axis(torque=friction, gyro_noise=0.0, torque_noise=0.0), 1, SHORT)
     problem, base = based(axis_data([flight], 'roll'))
     best = search(problem, TORQUES).best
     assert best.structure.labels == ('coulomb_friction',)

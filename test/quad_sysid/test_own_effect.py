@@ -137,11 +137,12 @@ def test_one_that_loses_is_reported_with_its_evidence(plain_flight):
     jsonschema.validate(result.report, json.loads(schema))
 
 
-def test_it_is_linearised_designed_for_and_separated(result):
+def test_it_is_linearised_designed_for_and_separated(result, monkeypatch):
     (part, _), *_ = linear(loop_plant(result.model), STILL).plant.torque_effects
     slope = part.effect.rows[0, 1]
     assert slope == pytest.approx(-12.0 * TRUTH, rel=0.05)
     assert result.gains['roll.rate.kp'] > 0.0
+    monkeypatch.setattr('quad_sysid.separation.design.FITTED', 1)
     found = qs.separate(result.model, ('cogging', 'pendulum_stiffness'), 10.0)
     assert found.best.worst.nats > 0.0
     words = ['design-excitation', '--quiet', '--seconds', '10', '--separate', 'cogging', 'nothing']

@@ -80,7 +80,7 @@ def test_emps_has_the_friction_of_its_makers_and_foresees_the_second_file(import
     values = run.structure.natural(run.theta)
     torque = model.value('damping') * rate - sum(
         part.effect.torque(signals, values[where], part.settings)
-        for part, where in zip(run.structure.parts, run.structure.slices(), strict=True)
+        for part, where in zip(run.structure.parts, run.structure.slices, strict=True)
     )
     assert 0.5 * (torque[0] - torque[1]) == pytest.approx((204.0 * 0.1 + 20.4) / 95.0, rel=0.15)
     found = qs.evaluate(model, second)

@@ -59,7 +59,7 @@ def test_what_flies_is_what_identification_fits(name):
     count = found.base.theta.size - len(Structure().noise)
     start = np.r_[found.base.theta[:count], own, found.base.theta[count:]]
     fitted = fit(problem, Structure((acting.part,)), start, rate=found.base.rate)
-    where = fitted.structure.slices()[0]
+    where = fitted.structure.slices[0]
     spread = np.sqrt(np.diag(np.linalg.inv(fitted.hessian)))[where]
     np.testing.assert_array_less(np.abs(fitted.theta[where] - own), 4.0 * spread + 1e-6)
 
@@ -122,7 +122,8 @@ def model_with_rival(probability: float) -> AxisModel:
     )
 
 
-def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed):
+def test_a_model_brings_its_effect_and_its_nearest_rival(tmp_path, printed, monkeypatch):
+    monkeypatch.setattr(design, 'FITTED', 1)
     model, out = tmp_path / 'model.json', tmp_path / 'schedule.yaml'
     save_models({'roll': model_with_rival(0.3)}, model)
     said = printed(main, 'design-excitation', '--separate', '--model', model, '--seconds', 10,

@@ -344,26 +344,25 @@ def _sums(
     is_finite = np.asarray(np.isfinite(motors).all(axis=1))
     centred = np.where(is_finite[:, None], motors - motors[is_finite].mean(axis=0), 0.0)
     n, k = centred.shape
+    usable, blocks = np.flatnonzero(is_finite & np.isfinite(response)), {}
+    for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
+        rows_of = np.array_split(usable[usable >= delay], BLOCKS)
+        blocks[delay] = [(rows, _centred(response[rows])) for rows in rows_of]
     products: list[tuple[FloatArray, ...]] = []
     for lag in LAGS_S:
         keep = float(np.exp(-dt / lag)) if lag else 0.0
         filtered = lfilter([1.0 - keep], [1.0, -keep], centred, axis=0)
         total = np.concatenate([np.zeros((1, k)), np.cumsum(filtered, axis=0)])
         mean = (total[step:] - total[:-step]) / step
-        for delay in sorted({round(d / dt) for d in DELAYS_S} | {1}):
+        for delay, parts in blocks.items():
             delayed = np.zeros((n, k))
             delayed[delay : delay + len(mean)] = mean[: n - delay]
-            usable = is_finite & np.isfinite(response)
-            usable[:delay] = False
-            sums = [_block(delayed[rows], response[rows])
-                    for rows in np.array_split(np.flatnonzero(usable), BLOCKS)]
+            centred_parts = [(_centred(delayed.take(rows, axis=0)), y) for rows, y in parts]
+            sums = [(x.T @ x, x.T @ y, float(y @ y)) for x, y in centred_parts]
             products.append(tuple(map(np.array, zip(*sums, strict=True))))
     return _Response(name, *(np.array(part) for part in zip(*products, strict=True)))
 
 
-def _block(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Products about the block's own means."""
-    if not len(y):
-        return np.zeros((x.shape[1], x.shape[1])), np.zeros(x.shape[1]), 0.0
-    x, y = x - x.mean(axis=0), y - y.mean()
-    return x.T @ x, x.T @ y, float(y @ y)
+def _centred(x: FloatArray) -> FloatArray:
+    """A block (n, …) about its own mean."""
+    return np.asarray(x - x.sum(axis=0) / max(len(x), 1))

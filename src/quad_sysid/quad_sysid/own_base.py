@@ -188,8 +188,9 @@ class _Law(Effect):
         x, u = self._states_and_inputs(s, settings)
         x |= {name: required(s.hidden)[i] for i, name in enumerate(self.base.hidden)}
         slope = self.base.moved(x, u, self._named(p), s.dt or 1e-3)[self.base.output]
-        return np.array(np.broadcast_to(self.units.per_rate * np.asarray(slope), s.rate.shape),
-                        dtype=np.float64)
+        out = np.empty(s.rate.shape)
+        out[...] = self.units.per_rate * np.asarray(slope)
+        return out
 
     def _step(self, hidden: Any, x: Values, u: Values, p: Values, dt: float) -> list[Any]:
         """Hidden states a cycle later: by the midpoint rule, or by the base's step."""
@@ -239,7 +240,7 @@ def lacking(base: Base, problem: Problem, fitted: Fit | None = None) -> tuple[st
     """
     structure, theta = (problem.plain, start_of(problem)) if fitted is None else (
         fitted.structure, fitted.theta)
-    sizes, where = problem.sizes(structure), structure.placed()[0][1]
+    sizes, where = problem.sizes(structure), structure.placed[0][1]
     prediction = problem.flight.predict(structure, theta, sweeps=3, steps=derivative_steps(sizes))
     if prediction.jacobian is None:
         raise NotInformativeError(f'base {base.name}: it runs away at the start values; start '

@@ -226,7 +226,7 @@ def fit_without(problem: Problem, fitted: Fit, *indices: int, silent: bool = Fal
 
     silent: the gain starts at zero, and a law of the user's sees no command.
     """
-    slices = fitted.structure.slices()
+    slices = fitted.structure.slices
     gone = [j for i in indices for j in range(slices[i].start, slices[i].stop)]
     structure, theta = fitted.structure.minus(*indices), np.delete(fitted.theta, gone)
     if silent:

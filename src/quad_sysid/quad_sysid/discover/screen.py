@@ -24,7 +24,7 @@ from quad_sysid.model import recursion
 from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import SMALL, Effect, Part, per_unit, required
 from quad_sysid.model.flight import per_coefficient
-from quad_sysid.model.structure import BASE, Structure, coordinates, natural
+from quad_sysid.model.structure import BASE, Structure, coordinates, logs_of, natural
 
 FAINT = 1e-30
 """Added to every column, rad/s²: what fades further is multiplied a hundred times as slowly."""
@@ -109,7 +109,7 @@ class Trajectory:
 
         Without a linear parameter the acceleration at `p`.
         """
-        effect, values = part.effect, natural(part.effect.parameters, p)
+        effect, values = part.effect, natural(logs_of(part.effect.parameters), p)
         if effect.wanders:
             return [per_coefficient(part, self.signals, values)]
         if not effect.moves_command:

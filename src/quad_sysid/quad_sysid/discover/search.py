@@ -117,7 +117,7 @@ class SearchResult:
         or a mode that only one of both has, a parameter of the base is another quantity: a curve
         over the rate holds part of the damping. So is the lag beside motors that answer otherwise.
         """
-        slices = {part.effect.label: where for part, where in fitted.structure.placed()}
+        slices = {part.effect.label: where for part, where in fitted.structure.placed}
         lag = [i for i, spec in enumerate(fitted.structure.base) if spec.name == 'lag']
         own_effects = {part.effect.label: part.effect for part in fitted.structure.parts}
         out = np.zeros((fitted.theta.size, fitted.theta.size))
@@ -132,7 +132,7 @@ class SearchResult:
             away[base] = theta[base] - fitted.theta[base]
             if any(effect.term == 'response' for effect in differing):
                 away[lag] = 0.0
-            for part, where in entry.fit.structure.placed():
+            for part, where in entry.fit.structure.placed:
                 if part.effect.label in slices:
                     own = slices[part.effect.label]
                     away[own] = theta[where] - fitted.theta[own]

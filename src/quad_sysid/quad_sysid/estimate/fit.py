@@ -97,12 +97,13 @@ class Tail:
 def tail_of(e: FloatArray, least: float) -> Tail:
     """The most likely scale, `least` (rad/s) or more, and degrees of freedom."""
     least = max(least, 1e-12)
-    best, value, square = Tail(1.0, DEGREES[-1]), -math.inf, e**2
+    best, value, square, weights = Tail(1.0, DEGREES[-1]), -math.inf, e**2, np.empty(e.size)
     scale = max(math.sqrt(float(np.mean(square))), least)
     for v in DEGREES[::-1]:
         for _ in range(60):
-            weights = 1.0 / (v * scale**2 + square)  # parameter-expanded EM (Liu et al. 1998)
-            new = math.sqrt(float(weights @ square) / float(np.sum(weights)))
+            # parameter-expanded EM (Liu et al. 1998)
+            np.divide(1.0, np.add(square, v * scale**2, out=weights), out=weights)
+            new = math.sqrt(float(weights @ square) / float(weights.sum()))
             previous, scale = scale, max(new, least)
             if abs(new - previous) < 1e-7 * previous:
                 break
@@ -219,7 +220,7 @@ class Problem:
             BASE[1].spread if self.data.rotor_lag is None else self.data.rotor_lag.spread,
             BASE[2].spread, DAMPING, wide,
         ]
-        effect_sizes = [size for part, _ in structure.placed() for size in self.sizes_of(part)]
+        effect_sizes = [size for part, _ in structure.placed for size in self.sizes_of(part)]
         out = np.array([*base, *effect_sizes, *(s.spread for s in structure.noise)], dtype=float)
         out[self.zero_terms] = FIXED_STD
         return out
@@ -231,7 +232,7 @@ class Problem:
         """
         out, p = derivative_steps(self.sizes(structure)), structure.natural(theta)
         last = float(self.data.clock[-1])
-        for part, where in structure.placed():
+        for part, where in structure.placed:
             phase = 2.0 * math.pi * part.effect.repeats_hz(p[where]) * last
             if phase > 0.0:  # by a frequency, whose coordinate is its logarithm
                 out[where.start] = min(out[where.start], TURN / phase)
@@ -248,7 +249,7 @@ class Problem:
     def precision(self, structure: Structure, sizes: FloatArray) -> FloatArray:
         """(p, p) prior precision."""
         out = np.diag(sizes**-2.0)
-        for part, where in structure.placed():
+        for part, where in structure.placed:
             out[where, where] = part.effect.precision(part.settings, sizes[where])
         return out
 
@@ -315,7 +316,7 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     root = np.linalg.cholesky(precision).T
     centres = problem.centres(structure)
     positive = np.array([s.positive and not s.log for s in structure.specs])
-    logs = np.array([s.log for s in structure.specs])
+    logs = structure.logs
 
     def evaluated(
         point: FloatArray, initial: FloatArray, sweeps: int, *, by: FloatArray | None = None
@@ -343,14 +344,14 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
     damping, converged = 1e-3, False
     for _ in range(max_steps):
         e = predicted.innovation[problem.rows]
-        j = required(predicted.jacobian)[problem.rows]
+        j = required(predicted.jacobian).take(problem.rows, axis=0)
         j[:, list(fixed)] = 0.0
         w = np.sqrt(tail.weights(e)) / tail.scale
         from_prior = root @ (theta - centres)
         rows, column = j * w[:, None], e * w
         # a part that vanishes acts by its square: over its logarithm that curves by twice the
         # slope, of which the rows may see little
-        curves = 2.0 * (column @ rows) - np.sum(rows**2, axis=0)
+        curves = 2.0 * (column @ rows) - np.einsum('ij->j', rows**2)
         curvature = np.where(logs, np.sqrt(np.maximum(curves, 0.0)), 0.0)
         blocks = (rows, column), (root, from_prior), (np.diag(curvature), np.zeros(curvature.size))
         factor = upper(np.vstack([np.column_stack(pair) for pair in blocks]))[: theta.size]
@@ -382,7 +383,8 @@ def fit(  # noqa: C901, PLR0915 - one loop, whose steps share all they have
         damping *= 0.15
     flight.rate = predicted.rate
     value += slowness(*structure.natural(theta)[[1, 3]])
-    j = required(predicted.jacobian)[problem.rows] * (math.sqrt(tail.information) / tail.scale)
+    j = required(predicted.jacobian).take(problem.rows, axis=0)
+    j *= math.sqrt(tail.information) / tail.scale
     r = upper(np.vstack([j, root]))
     evidence = (
         value + float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(np.abs(np.diag(r)))))

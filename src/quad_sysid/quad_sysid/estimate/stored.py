@@ -118,7 +118,7 @@ def _readable(structure: Structure, theta: FloatArray) -> list[list[tuple[str, f
             structure.base_names, structure.base, p, strict=False)],
         *([(f'{part.effect.name}.{name}', value, unit) for name, (value, unit)
            in part.effect.readable(p[where], part.settings).items()]
-          for part, where in structure.effects()),
+          for part, where in structure.effects),
     ]
 
 

@@ -115,7 +115,7 @@ class Models:
         """The model without each of its effects, the rest projected anew."""
         return [
             self.projection.project(model.structure.minus(i), np.delete(model.theta, columns))
-            for i, columns in enumerate(model.structure.slices())
+            for i, columns in enumerate(model.structure.slices)
         ]
 
 
@@ -316,7 +316,7 @@ def _added(model: Projected) -> Effect:
 
 def _within_prior(model: Projected) -> bool:
     """Whether the last rung's effect, if it is a law, has parameters that its prior allows."""
-    effect, values = _added(model), model.theta[model.structure.slices()[-1]]
+    effect, values = _added(model), model.theta[model.structure.slices[-1]]
     sizes = np.array([spec.spread or np.inf for spec in effect.parameters])
     precision = np.diag(effect.precision(model.structure.parts[-1].settings, sizes))
     away = values - [spec.centre for spec in effect.parameters]
@@ -374,7 +374,7 @@ class _Climb:
         fitted = self.models.best_fits.get(tuple(sorted(structure.labels)))
         if fitted is not None:  # by the search, perhaps where the base alone does not lead
             own = {other.effect.label: fitted.theta[where]
-                   for other, where in fitted.structure.effects()}
+                   for other, where in fitted.structure.effects}
             of_search = np.concatenate([fitted.theta[: projection.base],
                                         *(own[label] for label in structure.labels),
                                         projection.noise])
@@ -403,7 +403,7 @@ class _Climb:
         of_reference = [
             (_explained(trajectory, part, [], reference.theta[where], q, residual)[0], part,
              reference.theta[where])
-            for part, where in reference.structure.effects() if part.effect.label not in have]
+            for part, where in reference.structure.effects if part.effect.label not in have]
         of_reference = sorted(of_reference, key=lambda law: -law[0])[:PROJECTED]
         have |= {part.effect.label for _, part, _ in of_reference}
         shares: list[tuple[float, Part, FloatArray]] = []

@@ -225,7 +225,7 @@ class Projection:
     def steps(self, structure: Structure, theta: FloatArray) -> FloatArray:
         """(own,) steps of numerical derivatives."""
         count = theta.size - self.noise.size
-        logs = np.array([spec.log for spec in structure.specs])[:count]
+        logs = structure.logs[:count]
         steps = self.problem.steps(structure, theta)
         return np.maximum(steps[:count], 1e-3 * np.abs(np.where(logs, 0.0, theta[:count])))
 
@@ -249,7 +249,7 @@ class Projection:
     def ordered(self, structure: Structure) -> Projected:
         """The reference itself, which its own projection is, with its effects in another order."""
         values = {part.effect.label: self.reference.theta[where]
-                  for part, where in self.reference.structure.effects()}
+                  for part, where in self.reference.structure.effects}
         theta = np.concatenate([
             self.reference.theta[: self.base], *(values[label] for label in structure.labels),
             self.noise,

@@ -121,7 +121,7 @@ def linear_part(flying: Flying) -> Flying:
     plant, linear = flying.plant, []
     bare = replace(plant.structure, parts=())
     p = [plant.p[: len(bare.base)]]
-    for part, where in plant.structure.effects():
+    for part, where in plant.structure.effects:
         single = replace(flying, plant=replace(
             plant, structure=bare.plus(part), p=np.r_[p[0], plant.p[where]]))
         still, wide = (loops_of([(single, level)]) for level in (STILL, WIDE))

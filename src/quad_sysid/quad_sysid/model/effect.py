@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -191,8 +191,8 @@ class Drive:
         """The commands behind a delay (n,), in cycles."""
         delay = np.maximum(delay, 0.0)
         cycles = np.floor(delay + 1e-9)
-        return replace(self, ages=np.stack([cycles + 1.0, cycles]),
-                       fraction=np.maximum(delay - cycles, 0.0))
+        return Drive(self.commands, self.row, self.lag, self.factors,
+                     np.stack([cycles + 1.0, cycles]), np.maximum(delay - cycles, 0.0))
 
     def __post_init__(self) -> None:
         missing = self.row.size - len(self.factors)

@@ -47,7 +47,7 @@ from quad_sysid.model.plant import (
     with_slopes,
     with_torques,
 )
-from quad_sysid.model.structure import Structure, natural
+from quad_sysid.model.structure import Structure, logs_of, natural
 from quad_sysid.model.traced import Listing, Untraceable
 
 DIVERGED = 1e6
@@ -148,16 +148,16 @@ class Flight:
         if np.isfinite(data.other_rates).mean() > 0.5:
             self.others = tuple(self._advanced(np.nan_to_num(x)) for x in data.other_rates.T)
         columns = [EVERY[name].index + 1 for name in data.other_axes]
-        self.share = data.share
-        self._known: dict[str, Any] = {
-            'throttle': np.ascontiguousarray(data.control[:, 0]), 'battery_v': data.battery_v,
-            'time': data.clock + 0.5 * data.dt, 'other_rates': self.others,
-            'since_start': data.since_start + 0.5 * data.dt,
-            'other_commands': tuple(np.ascontiguousarray(data.control[:, columns].T)),
-            'motors': tuple(np.ascontiguousarray(data.motors.T)),
-            'other_angles': None if data.other_angles is None
+        self._measured = Signals.at_rest(
+            data.clock + 0.5 * data.dt, np.ascontiguousarray(data.control[:, 0]), angle=None,
+            battery_v=data.battery_v, other_rates=self.others,
+            since_start=data.since_start + 0.5 * data.dt,
+            other_commands=tuple(np.ascontiguousarray(data.control[:, columns].T)),
+            motors=tuple(np.ascontiguousarray(data.motors.T)),
+            other_angles=None if data.other_angles is None
             else tuple(np.ascontiguousarray(data.other_angles.T)),
-        }
+            sent=data.command, share=data.share, dt=data.dt,
+        )
         self.disturbances, self.variance = np.zeros((data.rate.size, 2)), 0.0
         self._drives: dict[bytes, tuple[FloatArray, FloatArray]] = {}
         # smoothed, and advanced by the filter's delay
@@ -195,10 +195,10 @@ class Flight:
 
         p: parameters in their units.
         """
-        acting = structure.command_effects()
+        acting = structure.command_effects
         # what remembers the drive needs it from the start, all others from a pass to its end
         remembered = any({'command', 'history'} <= {*part.effect.signals}
-                         for part, _ in structure.placed())
+                         for part, _ in structure.placed)
         key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting
@@ -227,8 +227,7 @@ class Flight:
     def commanded(self, p: FloatArray) -> Signals:
         """The signals (n,) for effects that act before the torque: commands and measurements."""
         lag, delay = lag_and_delay(p)
-        return Signals.at_rest(**self._known, angle=None, sent=self.data.command, share=self.share,
-                               lag=lag, delay=delay, dt=self.data.dt)
+        return self._measured.replaced(lag=lag, delay=delay)
 
     def signals(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Signals:
         """Signals for a rate (n,) at mid-cycle, all along the flight."""
@@ -260,7 +259,7 @@ class Flight:
 
     def pushed(self, structure: Structure, p: FloatArray, rate: FloatArray) -> Pushed:
         """Accelerations along the trajectory `rate` (n,), and their slope over it."""
-        drive, acting = self._acting(structure, p, rate, structure.torque_effects())
+        drive, acting = self._acting(structure, p, rate, structure.torque_effects)
         torque = with_torques(p[4] - p[3] * rate, acting)
         for axis, share in zip(structure.shared, p[-len(structure.noise) :], strict=False):
             torque = torque + share * self.disturbances[:, axis]
@@ -287,9 +286,9 @@ class Flight:
         In the coordinates of the fit along a fixed trajectory, by differences of `steps` (p,)
         where a torque is not linear. The third, (b,), says for which of the p the second is.
         """
-        torque_effects, p = structure.torque_effects(), structure.natural(theta)
-        moving = slice(3), *(where for _, where in structure.command_effects())
-        derived = np.r_[moving]
+        torque_effects, p = structure.torque_effects, structure.natural(theta)
+        derived = np.array([*range(3), *(j for _, where in structure.command_effects
+                                         for j in range(where.start, where.stop))])
         out, bends = np.zeros((rate.size, theta.size)), np.empty((rate.size, derived.size))
         out[:, 3], out[:, 4] = -rate, 1.0
         for place, axis in enumerate(structure.shared, theta.size - len(structure.noise)):
@@ -317,13 +316,14 @@ class Flight:
     ) -> FloatArray:
         """(n, q) derivatives of an effect's torque by its coordinates of the fit."""
         effect, settings, linear = part.effect, part.settings, part.effect.linear
-        p = natural(effect.parameters, theta)
+        logs = logs_of(effect.parameters)
+        p = natural(logs, theta)
         signals = self.hidden(part, s, p)  # which those in which the torque is linear do not move
         torque = required(effect.torque(signals, p, settings))
         out = np.empty((s.rate.size, theta.size))
         for j in set(range(theta.size)) - set(linear):
             shift = FINER * np.diag(steps)[j]
-            perturbed = natural(effect.parameters, theta + shift)
+            perturbed = natural(logs, theta + shift)
             after = effect.torque(self.hidden(part, s, perturbed), perturbed, settings)
             out[:, j] = (required(after) - torque) / shift[j]
         if linear:
@@ -363,7 +363,7 @@ class Flight:
     ) -> Prediction:
         """Innovations after `sweeps` passes along the flight; with `steps` their derivatives."""
         n, p, rate = self.data.rate.size, structure.natural(theta), self.rate
-        if not structure.torque_effects():
+        if not structure.torque_effects:
             sweeps = 1  # the physics is linear in the rate
         for sweep in range(sweeps):
             push = self.pushed(structure, p, rate)
@@ -424,7 +424,7 @@ class Flight:
     ) -> None:
         """Put in how the filter follows wandering effects, with derivatives where `derived`."""
         psi = self.responses(by.wander, slope, steady)
-        wandering = [where for part, where in structure.placed() if part.effect.wanders]
+        wandering = [where for part, where in structure.placed if part.effect.wanders]
         for i, where in enumerate(wandering):
             # the gain's dependence on all other parameters is neglected: white innovations make
             # its mean effect on the likelihood zero
@@ -448,7 +448,7 @@ class Flight:
 
     def wander(self, structure: Structure, p: FloatArray, rate: FloatArray) -> FloatArray:
         """(n, w) acceleration per unit of each wandering coefficient, rad/s²."""
-        acting = [(part, p[where]) for part, where in structure.placed() if part.effect.wanders]
+        acting = [(part, p[where]) for part, where in structure.placed if part.effect.wanders]
         if not acting:
             return np.zeros((rate.size, 0))
         s = self.signals(structure, p, rate)

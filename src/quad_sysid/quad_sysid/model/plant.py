@@ -136,13 +136,13 @@ class Plant:
     def command_effects(self) -> list[ActingEffect]:
         """The effects that act before the torque."""
         return [ActingEffect(part, self.p[where])
-                for part, where in self.structure.command_effects()]
+                for part, where in self.structure.command_effects]
 
     @cached_property
     def torque_effects(self) -> list[ActingEffect]:
         """The effects that add a torque."""
         return [ActingEffect(part, self.p[where])
-                for part, where in self.structure.torque_effects()]
+                for part, where in self.structure.torque_effects]
 
     @cached_property
     def bends(self) -> bool:

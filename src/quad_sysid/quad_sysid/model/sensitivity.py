@@ -32,7 +32,7 @@ class Sensitivity:
         self.middle = run.rate.ravel()
         self.angle = None if run.angle is None else \
             run.angle.ravel() + 0.5 * self.dt * self.middle
-        self.torque_effects = structure.torque_effects()
+        self.torque_effects = structure.torque_effects
         self.hidden = [x.reshape(x.shape[0], -1) for x in run.hidden if x is not None]
         self.around = flight.commanded(np.zeros(3)).at(self.cells)
 
@@ -72,7 +72,7 @@ class Sensitivity:
                 k += 1
         columns, bends = np.empty((n, count)), np.zeros((n, count))
         forward, initial = np.zeros((n, size, count)), np.zeros((self.windows.count, size, count))
-        bent = [*range(3), *(j for _, where in structure.command_effects()
+        bent = [*range(3), *(j for _, where in structure.command_effects
                              for j in range(where.start, where.stop))]
         started = self._initial(p, range(count), bent)
         for j, step in enumerate(steps):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
 from quad_sysid.model.effect import Part, Spec
@@ -100,28 +101,38 @@ class Structure:
         """Number of the filter's states: four, two of each line, one of each wandering effect."""
         return 4 + 2 * self.lines + sum(part.effect.wanders for part in self.parts)
 
-    def slices(self) -> list[slice]:
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
         """Each effect's slice of the vector."""
         counts = (len(part.effect.parameters) for part in self.parts)
         stops = itertools.accumulate(counts, initial=len(self.base))
-        return [slice(begin, end) for begin, end in itertools.pairwise(stops)]
+        return tuple(slice(begin, end) for begin, end in itertools.pairwise(stops))
 
-    def effects(self) -> list[tuple[Part, slice]]:
+    @cached_property
+    def effects(self) -> tuple[tuple[Part, slice], ...]:
         """Each effect with its slice of the vector."""
-        return list(zip(self.parts, self.slices(), strict=True))
+        return tuple(zip(self.parts, self.slices, strict=True))
 
-    def placed(self) -> list[tuple[Part, slice]]:
+    @cached_property
+    def placed(self) -> tuple[tuple[Part, slice], ...]:
         """The law, if any, and the effects, each with its slice of the vector."""
-        law = [] if self.law is None else [(self.law, slice(len(BASE), len(self.base)))]
-        return [*law, *self.effects()]
+        law = () if self.law is None else ((self.law, slice(len(BASE), len(self.base))),)
+        return law + self.effects
 
-    def command_effects(self) -> list[tuple[Part, slice]]:
+    @cached_property
+    def command_effects(self) -> tuple[tuple[Part, slice], ...]:
         """The effects that act before the torque."""
-        return [acting for acting in self.placed() if acting[0].effect.moves_command]
+        return tuple(acting for acting in self.placed if acting[0].effect.moves_command)
 
-    def torque_effects(self) -> list[tuple[Part, slice]]:
+    @cached_property
+    def torque_effects(self) -> tuple[tuple[Part, slice], ...]:
         """The effects that add a torque."""
-        return [acting for acting in self.placed() if not acting[0].effect.moves_command]
+        return tuple(acting for acting in self.placed if not acting[0].effect.moves_command)
+
+    @cached_property
+    def logs(self) -> NDArray[np.bool_]:
+        """(p,) which coordinates of the fit are logarithms."""
+        return logs_of(self.specs)
 
     def plus(self, part: Part) -> Structure:
         """The structure with one more effect."""
@@ -134,16 +145,19 @@ class Structure:
 
     def natural(self, theta: FloatArray) -> FloatArray:
         """(p,) parameters in their units from the coordinates of the fit, theta (p,)."""
-        return natural(self.specs, theta)
+        return natural(self.logs, theta)
 
 
-def natural(specs: Sequence[Spec], theta: FloatArray) -> FloatArray:
-    """(p,) parameters in their units from coordinates of the fit: some are logarithms."""
-    logs = np.array([s.log for s in specs])
-    return np.where(logs, np.exp(np.clip(theta, -LARGEST_LOG, LARGEST_LOG)), theta)
+def logs_of(specs: Sequence[Spec]) -> NDArray[np.bool_]:
+    """(p,) which coordinates of the fit are logarithms."""
+    return np.array([s.log for s in specs])
+
+
+def natural(logs: NDArray[np.bool_], theta: FloatArray) -> FloatArray:
+    """(p,) parameters in their units from coordinates of the fit, those in `logs` logarithms."""
+    return np.where(logs, np.exp(theta.clip(-LARGEST_LOG, LARGEST_LOG)), theta)
 
 
 def coordinates(specs: Sequence[Spec], values: FloatArray, least: float = 1e-12) -> FloatArray:
     """The inverse of `natural`; a logarithm is of `least` at least."""
-    logs = np.array([s.log for s in specs])
-    return np.where(logs, np.log(np.maximum(values, least)), values)
+    return np.where(logs_of(specs), np.log(np.maximum(values, least)), values)

@@ -42,7 +42,7 @@ def _between_flights(answer: AxisAnswer) -> Iterator[str]:
     findings = required(answer.findings)
     chosen, flights = findings.verdict.chosen, findings.problem.data.whole[0].flights
     p = chosen.structure.natural(chosen.theta)
-    changes = [part.effect.name for part, where in chosen.structure.effects()
+    changes = [part.effect.name for part, where in chosen.structure.effects
                if 'time' in part.effect.signals and not part.effect.repeats_hz(p[where])]
     if len(flights) > 1 and changes:
         yield (f'{" and ".join(changes)} over {len(flights)} flights may be what they differ in, '

@@ -171,7 +171,7 @@ def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) 
                   'battery': data.battery_v is not None,
                   'other rate': unseen.problem.flight.others is not None,
                   'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
-    for part, _ in model.structure.placed():
+    for part, _ in model.structure.placed:
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
             if need and not has_signal[need]:
@@ -190,12 +190,12 @@ def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
 
     def at(phase: float) -> Stored:
         theta = model.theta.copy()
-        for part, where in structure.effects():
+        for part, where in structure.effects:
             other = part.effect.in_another_flight(p[where], part.settings, phase)
             theta[where] = coordinates(part.effect.parameters, other, 1e-17)
         return replace(model, theta=theta)
 
-    if not any(part.effect.repeats_hz(p[where]) for part, where in structure.placed()):
+    if not any(part.effect.repeats_hz(p[where]) for part, where in structure.placed):
         return at(0.0)
 
     def unlikely(phase: float) -> float:
@@ -237,7 +237,7 @@ def simulate(model: AxisModel, u: npt.ArrayLike, x0: tuple[float, float] = (0.0,
         raise BadInputError('simulate', 'u must be (n,) finite commands, n at least 2',
                             f'shape {command.shape}')
     stored, usual = completed(model), usual_signals(model)
-    for part, _ in stored.structure.placed():
+    for part, _ in stored.structure.placed:
         if 'battery' in part.effect.signals and battery_v is None and not model.mean_battery_v:
             raise BadInputError('simulate', f'{part.effect.name} needs battery_v',
                                 remedy='give battery_v in V, one value for each command')

@@ -86,7 +86,7 @@ class Replay:
         followed = self.followed()
         if without is not None:
             followed = {i: x for i, x in followed.items() if i != without}
-            values = np.delete(values, structure.slices()[without])
+            values = np.delete(values, structure.slices[without])
             structure = structure.minus(without)
         accelerations = self.problem.flight.pushed(structure, values, self.fit.rate)
         mean: FloatArray = 0.5 * (accelerations.known[0] + accelerations.known[1])
@@ -195,7 +195,7 @@ def _frequency(replay: Replay, part: Part) -> float:
     if type(part.effect).repeats_hz is Effect.repeats_hz:
         return 0.0
     index = replay.fit.structure.parts.index(part)
-    where = replay.fit.structure.slices()[index]
+    where = replay.fit.structure.slices[index]
     return part.effect.repeats_hz(replay.fit.values[where])
 
 
@@ -207,7 +207,7 @@ def is_curve(part: Part) -> bool:
 def drawn(replay: Replay, index: int) -> Drawn:
     """A curve's own physics over its variable, with the band of its parameters' errors."""
     structure, theta = replay.fit.structure, replay.fit.theta
-    part, where = structure.parts[index], structure.slices()[index]
+    part, where = structure.parts[index], structure.slices[index]
     if part.effect.wanders:
         inside = past_start(replay.problem.spans, replay.problem.data.dt)
         x, y = over(replay, part).values[inside], replay.followed()[index][inside]
