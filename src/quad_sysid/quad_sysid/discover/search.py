@@ -271,10 +271,10 @@ class _Search:
         Of each explanation the variant with the best score.
         """
         variants: dict[tuple[str, ...], tuple[float, Fit, Score]] = {}
-        for entry in ahead:
-            names = explanation(entry[1].structure.plus(entry[2].part))
-            if entry[0] >= variants.get(names, (HOPELESS,))[0]:
-                variants[names] = entry
+        for score, parent, candidate in ahead:
+            names = explanation(parent.structure.plus(candidate.part))
+            if score >= variants.get(names, (HOPELESS,))[0]:
+                variants[names] = score, parent, candidate
         promising = sorted(variants.values(), key=lambda entry: -entry[0])[:REFITS]
         if self.halt():
             return []
