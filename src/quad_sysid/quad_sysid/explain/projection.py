@@ -103,11 +103,12 @@ class Projection:
         return np.concatenate([theta[: self.base], self.noise])
 
     def project(self, structure: Structure, start: FloatArray, *, coarse: bool = False,
-                most: int = MOST_STEPS) -> Projected:
+                most: int = MOST_STEPS, stay: bool = False) -> Projected:
         """The parameters with the least squares to the reference, by Levenberg and Marquardt.
 
         The priors of the fit count beside errors of the size of the reference's innovations, so
-        that curves stay smooth. coarse: near enough to choose among candidates. most: steps.
+        that curves stay smooth. coarse: near enough to choose among candidates. most: steps. stay:
+        the priors pull to the start, where the windows say nothing.
         """
         theta = start.astype(float)
         count = theta.size - self.noise.size
@@ -115,7 +116,7 @@ class Projection:
         logs = np.array([spec.log for spec in specs])
         positive = np.array([spec.positive and not spec.log for spec in specs])
         root = self.reference.tail.scale * self._prior(structure)
-        centres = self.problem.centres(structure)[:count]
+        centres = (theta if stay else self.problem.centres(structure))[:count]
         steps = self.steps(structure, theta)
         tolerance = ROUGHLY if coarse else ENOUGH
 
@@ -159,19 +160,19 @@ class Projection:
         return np.asarray(np.linalg.cholesky(precision[:count, :count]).T)
 
     def disagreement(self, model: Projected) -> FloatArray:
-        """(windows,) what a model misses of windows that its parameters have not seen.
+        """(windows,) what a model misses of a part of the training, with parameters of the others.
 
-        Every third window is run with what the others give, one step from the parameters of all: a
-        curve that holds only where it was fitted explains less of the rest. Windows of one part
-        lie all over the training, for an event shows only after it.
+        One step from the parameters of all: a curve that holds only where it was fitted explains
+        less of the rest, and a base whose gain drifts misses what comes later. A parameter of
+        which the others say nothing stays, such as the size of an event that they do not see.
         """
         count = self.windows.count
         if count < PARTS or not model.total:  # too short to be cut, or the reference itself
             return model.missed
-        part, missed = np.arange(count) % PARTS, np.empty(count)
+        part, missed = np.arange(count) * PARTS // count, np.empty(count)
         for k in range(PARTS):
             inside = part == k
-            other = self._on(~inside).project(model.structure, model.theta, most=1)
+            other = self._on(~inside).project(model.structure, model.theta, most=1, stay=True)
             as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
             missed[inside] = as_they_are.missed
         return missed
