@@ -9,6 +9,8 @@ import matplotlib as mpl
 import numpy as np
 from effects_judge import Row, detection, reliability
 
+from quad_sysid.contract import FloatArray
+
 mpl.use('Agg')
 from matplotlib import pyplot as plt
 
@@ -54,13 +56,20 @@ def _said(row: Row) -> list[str]:
     return list(row['named']) or [str(row['verdict'])]
 
 
+def _wilson(share: FloatArray, count: FloatArray, z: float = 1.96) -> FloatArray:
+    """(2, k) how far the 95 % interval reaches below and above shares of `count` (Wilson 1927)."""
+    middle = (share + z**2 / (2.0 * count)) / (1.0 + z**2 / count)
+    half = z * np.sqrt(share * (1.0 - share) / count + (z / (2.0 * count)) ** 2) \
+        / (1.0 + z**2 / count)
+    return np.maximum([share - middle + half, middle + half - share], 0.0)
+
+
 def _detection(rows: Sequence[Row], path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.6))
     points = detection(rows)
     if points:
         x, y, n = (np.array(column) for column in zip(*points, strict=True))
-        half = 1.96 * np.sqrt(np.maximum(y * (1.0 - y), 0.02) / n)
-        left.errorbar(x, y, half, marker='o', color='#0072b2', capsize=3)
+        left.errorbar(x, y, _wilson(y, n), marker='o', color='#0072b2', capsize=3)
         left.set_xscale('log')
         left.set_xticks([1, 1.5, 2, 3, 5], ['1', '1.5', '2', '3', '5'])
         left.minorticks_off()
@@ -71,8 +80,7 @@ def _detection(rows: Sequence[Row], path: Path) -> None:
     said = reliability(rows)
     if said:
         x, y, n = (np.array(column) for column in zip(*said, strict=True))
-        half = 1.96 * np.sqrt(np.maximum(y * (1.0 - y), 0.02) / n)
-        right.errorbar(x, y, half, marker='o', color='#d55e00', capsize=3)
+        right.errorbar(x, y, _wilson(y, n), marker='o', color='#d55e00', capsize=3)
     right.plot([0, 1], [0, 1], color='0.6', linestyle=':')
     right.set_ylim(-0.05, 1.05)
     right.set_xlabel('probability that was said')
