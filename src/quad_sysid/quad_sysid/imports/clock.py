@@ -97,6 +97,15 @@ class Cycles:
     """Whether the cycles are those of the samples."""
     notes: tuple[str, ...]
 
+    def seconds(self, time_s: float) -> float:
+        """A time of the recording in the bag's, which counts `dt` for each cycle from the first.
+
+        Over ten minutes the two may be a tenth of a second apart.
+        """
+        inside = float(np.clip(time_s, self.times[0], self.times[-1]))
+        place = float(np.interp(inside, self.times, np.arange(self.times.size)))
+        return self.dt * place + time_s - inside
+
 
 def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unrolled:
     """Rows (n,) in an order of increasing time; experiments after a jump follow each other.

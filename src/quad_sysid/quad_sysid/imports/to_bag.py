@@ -88,15 +88,15 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
 
 
 def gains_of(
-    log: ForeignLog, gains: Mapping[str, float], start_s: float
+    log: ForeignLog, gains: Mapping[str, float], grid: Cycles
 ) -> tuple[GainChange, ...]:
-    """The gains of a record that begins at `start_s` of the log, with what its import added.
+    """The gains of a record on these cycles of the log, with what its import added.
 
     What a change no longer names is switched off, 0: a bag's events add to those before.
     """
     off = dict.fromkeys((name for values in (log.gains, *(c.values for c in log.gain_changes))
                          for name in values), 0.0)
-    changes = [GainChange(change.time_s - start_s, {**gains, **off, **change.values})
+    changes = [GainChange(grid.seconds(change.time_s), {**gains, **off, **change.values})
                for change in log.gain_changes]
     initial = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
     return (*([GainChange(0.0, initial[-1])] if initial[-1] else []),
@@ -160,11 +160,11 @@ def record_of(
                     rate_setpoint=clock.hold_if_any(log.rate_setpoint, grid.times, grid.dt),
                     battery_v=volts_on(log.battery, grid.times),
                     **_translation(log, grid, angles, warnings),
-                    gains=gains_of(log, gains, float(grid.times[0])))
+                    gains=gains_of(log, gains, grid))
     if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
         raise BadInputError(log.source, 'rates and commands were never logged together',
                             remedy='log both during the same flight')
-    record, experiment = with_experiments(record, log.experiments, float(grid.times[0]))
+    record, experiment = with_experiments(record, log.experiments, grid)
     if not experiment:
         record = with_stretches(record, log.axes)
         experiment = stretches_summary(record)
