@@ -127,6 +127,9 @@ def record_of(
     rates, angles = _motion(log, grid, gains, notes, warnings)
     control, motors, craft = _commands(log, grid, rates, angles, notes, warnings)
     control, motors = _armed(log, grid, control, motors, warnings)
+    if not np.isfinite(rates[:, 0] + control[:, 0]).any():
+        raise BadInputError(log.source, 'rates and commands were never logged together',
+                            remedy='log both during the same flight')
     if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in control.T):
         raise BadInputError(log.source, 'holds commands that never change',
                             remedy='; '.join([*log.clock, 'import a log of a flight']))
@@ -161,9 +164,6 @@ def record_of(
                     battery_v=volts_on(log.battery, grid.times),
                     **_translation(log, grid, angles, warnings),
                     gains=gains_of(log, gains, grid))
-    if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
-        raise BadInputError(log.source, 'rates and commands were never logged together',
-                            remedy='log both during the same flight')
     record, experiment = with_experiments(record, log.experiments, grid)
     if not experiment:
         record = with_stretches(record, log.axes)
