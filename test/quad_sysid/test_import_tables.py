@@ -104,6 +104,25 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
+@pytest.mark.parametrize('repeated', [True, False])
+def test_a_rate_stands_in_several_rows_or_on_lines_between_them(options, tmp_path, repeated):
+    table, step = columns(), 2 if repeated else 4
+    for name in ('rate', 'angle'):
+        new = table[name][::step]
+        table[name] = new.repeat(step) if repeated else np.interp(
+            table['t'], table['t'][::step], new)
+    text_table(options.file, table)
+    done = imported(options, tmp_path / 'bag')
+    record, said = read_bag(tmp_path / 'bag'), ' '.join(done.warnings)
+    assert ('(rows for each: rates 2, angles 2)' in said) is repeated
+    assert ('the rates are straight lines between samples at some 62.5 Hz' in said) is not repeated
+    if repeated:
+        assert record.dt == 2 * DT
+        np.testing.assert_allclose(record.rates[:, 1], table['rate'][::2], atol=1e-9)
+        np.testing.assert_allclose(record.control[:, 2], table['u'].reshape(-1, 2).mean(axis=1),
+                                   atol=1e-9)
+
+
 @pytest.mark.parametrize(('role', 'unit', 'values', 'si'), [
     ('control', 'pulse_us', (1500.0, 2000.0), (0.0, 0.5)), ('control', 'V', (-10.0,), (-0.5,)),
     ('motor', 'dshot', (48.0, 2047.0), (0.0, 1.0)), ('motor', 'pulse_us', (1000.0,), (0.0,)),

@@ -7,7 +7,7 @@ asked, and the result is reported.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,10 @@ LAST_S = 2.0**31 - 1e6
 """ROS' seconds end in 2038; a later date is damage."""
 MIN_SAMPLES = 100
 """Least number of samples of a log."""
+MEASURED = ('rates', 'angles', 'acceleration', 'velocity', 'position')
+"""Streams that do not stand still between samples, as commands and set-points do."""
+SEVERAL = 1.5
+"""Commands in a cycle of the rates from which their mean counts."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
@@ -115,6 +119,7 @@ def record_of(
 
     `grid_hz` and `dt` as in clock.cycles. Raises BadInputError where the log holds too little.
     """
+    log, held = _once(log)
     base = log.rates or log.angles
     if base is None or len(base.time_s) < MIN_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
@@ -122,7 +127,7 @@ def record_of(
                             f'at least {MIN_SAMPLES} are needed; log longer')
     grid = clock.cycles(base, log.source, grid_hz, dt)
     faster = f' ({log.faster})' if log.faster else ''
-    notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
+    notes, warnings = [*log.clock, *grid.notes], [*held, *log.warnings]
     gains = dict(log.gains)
     rates, angles = _motion(log, grid, gains, notes, warnings)
     control, motors, craft = _commands(log, grid, rates, angles, notes, warnings)
@@ -143,6 +148,10 @@ def record_of(
             f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
             'interpolated and not logged at this rate, so no effect can be claimed from them: log '
             f'the commands at the full rate{faster}')
+    drawn = drawn_hz(rates, grid.dt)
+    if drawn and log.rates is not None:
+        warnings.append(f'the rates are straight lines between samples at some {drawn:.3g} Hz, '
+                        'which a fit takes for motion: give each sample once')
     if commands is not None and commands.rate_hz < FAST_ENOUGH / grid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
@@ -169,7 +178,21 @@ def record_of(
         record = with_stretches(record, log.axes)
         experiment = stretches_summary(record)
     notes += [experiment] if experiment else []
-    return record, notes, [*warnings, *_gaps(record, log)]
+    return record, notes, [*warnings, *([] if held else _gaps(record, log))]
+
+
+def _once(log: ForeignLog) -> tuple[ForeignLog, list[str]]:
+    """The log, of a table with each measured value once; a line that says so."""
+    new: dict[str, Any] = {}
+    rows = []
+    for role in MEASURED if log.kind == 'a table' else ():
+        stream = getattr(log, role)
+        if stream is not None and (once := clock.fresh(stream)) is not stream:
+            new[role] = once
+            rows.append(f'{role} {len(stream.time_s) / len(once.time_s):.3g}')
+    text = ('measured values were repeated until the next one came (rows for each: '
+            f'{", ".join(rows)}): each is taken once')
+    return replace(log, **new), [text] * bool(new)
 
 
 def _gaps(record: Record, log: ForeignLog) -> list[str]:
@@ -278,9 +301,9 @@ def _on_grid(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) ->
         notes.append(f'commands on straight lines between the logged ones, one for each '
                      f'{1e3 * (log.loop_s or 0.0):.3g} ms of the controller')
         return clock.mean_of_next_cycle(stream, grid.times, grid.dt, 1.0 / logged.rate_hz)
-    if grid.own:
+    if grid.own and logged.rate_hz * grid.dt < SEVERAL:
         return clock.hold(stream, grid.times, grid.dt)
-    return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
+    return clock.mean_of_next_cycle(stream, grid.times, grid.dt, grid.dt if grid.own else None)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:
