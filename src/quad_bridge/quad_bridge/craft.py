@@ -448,6 +448,19 @@ def ardupilot_channels(parameters: Mapping[str, float], count: int) -> tuple[int
     return named if all(named) else tuple(range(1, count + 1))
 
 
+def ardupilot_range_us(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Pulses of the commands 0 and 1: MOT_PWM_*, without both those of the throttle's stick.
+
+    Up to Copter 4.0 that was the default; 1000 to 2000 µs where the log holds neither.
+    """
+    stick = int(parameters.get('RCMAP_THROTTLE', 3.0))
+    for name in ('MOT_PWM', f'RC{stick}'):
+        low, high = (parameters.get(f'{name}_{end}', 0.0) for end in ('MIN', 'MAX'))
+        if 0.0 < low < high:
+            return low, high
+    return 1000.0, 2000.0
+
+
 def of_betaflight(parameters: Mapping[str, float | str]) -> Craft | str:
     """The craft of Betaflight's `mixer` (name or number) and `yaw_motors_reversed`, or why not."""
     mixer = str(parameters.get('mixer', 'QUADX')).strip().upper()
