@@ -205,6 +205,15 @@ def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
     assert read_bag(write_bag(got, tmp_path / 'again')).acceleration is None
 
 
+def test_a_rate_that_is_published_again_until_the_next_one_is_measured_is_taken_once(tmp_path):
+    imu = imu_stream(regular())
+    imu.values[1::2, 5:8] = imu.values[::2, 5:8]
+    record = read_bag(write_imu(tmp_path / 'bag', regular(), imu))
+    np.testing.assert_array_equal(record.rates[::2], imu.values[::2, 5:8])
+    assert np.isnan(record.rates[1::2]).all()
+    assert '/imu/data: a rate stands in 2 messages' in ' '.join(record.warnings)
+
+
 @pytest.mark.parametrize(('volts', 'there'), [(np.nan, False), (0.004, False), (11.1, True)])
 def test_a_battery_that_was_not_measured_is_none(tmp_path, volts, there):
     battery = Stamped(regular(100)[::25], np.full((4, 1), volts))

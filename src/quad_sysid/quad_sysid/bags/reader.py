@@ -16,7 +16,7 @@ from quad_sysid.bags import events
 from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
 from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
-from quad_sysid.bags.stamps import Grid, uniform_grid
+from quad_sysid.bags.stamps import Grid, new_rows, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
@@ -87,9 +87,14 @@ def read_bag(path: str | Path) -> Record:
     warnings = [*content.warnings, *grid.warnings]
     imu_grid = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
     imu_grid[grid.cells] = imu.values[grid.rows]
+    new = new_rows(imu.values[grid.rows, 5:8])
+    if not new.all():
+        warnings.append(f'{IMU_TOPIC}: a rate stands in {new.size / new.sum():.3g} messages until '
+                        'the next one was measured: each is taken once')
     imu_grid[imu_grid[:, 11] == UNMEASURED, 5:8] = np.nan
     imu_grid[imu_grid[:, 12] == UNMEASURED, 8:11] = np.nan
     rates = _finite(imu_grid[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
+    rates[grid.cells[~new]] = np.nan
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
     gain_events, unreadable_gains = events.decode_events(content.events.get(GAINS, ()))

@@ -33,6 +33,11 @@ CRYSTAL = 2e-4
 """Two clocks differ by less than this share, so an interval that is so near whole µs is meant."""
 BLOCK = 32
 """Differences per block in which the rate is checked."""
+REPEATED = 1.1
+"""Samples for each value from which a logger may have repeated what it had."""
+CHANGES, PACE, STEADY = 32, 0.02, 0.8
+"""Changes over which their pace is measured, five times at least; the part by which it may differ,
+besides one sample; and how often it must not."""
 JITTER_WARNING = 0.25
 """Jitter of the stamps, cycles (99th percentile), above which a warning says so."""
 
@@ -221,6 +226,20 @@ def count_cycles(steps: FloatArray) -> tuple[IntArray, FloatArray]:
         cells[i + 1] = cell
         phases[i + 1] = phase
     return cells, phases
+
+
+def new_rows(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """(n,) where measured values (n, k) are new, if a logger repeated each until the next came.
+
+    Such values change at a steady pace; those that stay the same by their resolution do not, and
+    all of them count.
+    """
+    new = np.concatenate(([True], (np.diff(values, axis=0) != 0.0).any(axis=1)))
+    spans = np.diff(np.flatnonzero(new)[::CHANGES])
+    usual = float(np.median(spans)) if spans.size >= 5 else 0.0
+    steady = np.abs(spans - usual) <= 1.0 + PACE * usual
+    is_repeated = usual >= REPEATED * CHANGES and steady.mean() >= STEADY
+    return new if is_repeated else np.ones_like(new)
 
 
 def _interval(times: IntArray, cells: IntArray) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.bags.stamps import count_cycles, in_whole_us
+from quad_sysid.bags.stamps import count_cycles, in_whole_us, new_rows
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import finite_runs
@@ -54,11 +54,6 @@ MOST_LOOPS = 1.5
 """Usual interval of a command, in the controller's cycles, from which some are not in the log."""
 MOST_LEFT_OUT = 64
 """Cycles for each command in the log beyond which the stated cycle is not believed."""
-HELD = 1.1
-"""Rows for each value from which a logger may have repeated what it had."""
-CHANGES, PACE = 32, 0.02
-"""Changes over which their pace is measured, five times at least, and the part by which it may
-differ, besides one row."""
 PARTS = 8
 """Parts of a cycle over which the active command is averaged."""
 
@@ -197,17 +192,9 @@ def _spread(
 
 
 def fresh(stream: Stream) -> Stream:
-    """Each measured value once, where a logger repeated it until the next one came; else all.
-
-    Such values change at a steady pace, those that stay the same by their resolution do not.
-    """
-    new = np.flatnonzero(np.r_[True, (np.diff(stream.values, axis=0) != 0.0).any(axis=1)])
-    spans = np.diff(new[::CHANGES])
-    usual = float(np.median(spans)) if spans.size >= 5 else 0.0
-    steady = np.abs(spans - usual) <= 1.0 + PACE * usual
-    if usual < HELD * CHANGES or steady.mean() < 1.0 - STEADY:
-        return stream
-    return Stream(stream.time_s[new], stream.values[new])
+    """Each measured value once, where a logger repeated it until the next one came; else all."""
+    new = new_rows(stream.values)
+    return stream if new.all() else Stream(stream.time_s[new], stream.values[new])
 
 
 def cycles(samples: Stream, where: str, grid_hz: float | None = None,
