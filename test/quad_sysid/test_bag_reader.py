@@ -192,6 +192,25 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     assert '/setpoint/attitude' in got.missing
 
 
+@pytest.mark.parametrize('step', [STEP // 4, 2 * STEP])
+def test_commands_that_come_faster_or_more_slowly_hold_until_the_next(tmp_path, step):
+    """Of several in a cycle the mean counts; where one is lost, nobody knows."""
+    stamps = regular(400)
+    at = np.delete(stamps[0] + step * np.arange(400 * STEP // step), slice(80, 84))
+    values = np.zeros((at.size, 6))
+    values[:, 2:] = np.random.default_rng(1).uniform(0.4, 0.6, (at.size, 4))
+    got = read_bag(write_streams(tmp_path / 'bag', {
+        '/imu/data': imu_stream(stamps), '/control/wrench': Stamped(at, values)},
+        {'/gains/active': [Event(int(stamps[0]), {'mixer.desaturation': 'none'})]}))
+    every = at[0] + STEP // 4 * np.arange(1600)
+    held = values[np.searchsorted(at, every, side='right') - 1, 2:].reshape(400, 4, 4)
+    lost = slice(20, 21) if step < STEP else slice(161, 168)
+    assert np.isnan(got.control[lost]).all()
+    np.testing.assert_allclose(np.delete(got.control, lost, 0),
+                               np.delete(held.mean(axis=1), lost, 0), atol=1e-12)
+    assert ('one for 2 cycles of /imu/data' in ' '.join(got.warnings)) is (step > STEP)
+
+
 def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
     """NaN, and what a covariance of -1 marks (REP-145)."""
     imu = imu_stream(regular(100))

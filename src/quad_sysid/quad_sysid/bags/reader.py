@@ -16,7 +16,7 @@ from quad_sysid.bags import events
 from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
 from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
-from quad_sysid.bags.stamps import Grid, new_rows, uniform_grid
+from quad_sysid.bags.stamps import SEVERAL, Grid, new_rows, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
@@ -37,6 +37,7 @@ OPTIONAL = {
     'rate_setpoint': '/setpoint/rates',
     'excitation': '/excitation/applied',
 }
+COMMANDS = ('wrench', 'motors')
 TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, BARO,
           SEGMENT, GAINS)
 
@@ -238,7 +239,8 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
     stream = content.streams.get(topic)
     if stream is None or len(stream.stamps) == 0:
         return None
-    placed = grid.place(stream.stamps, stream.values)
+    lay = grid.commanded if name in COMMANDS else grid.place
+    placed = lay(stream.stamps, stream.values)
     if name == 'wrench':
         placed = np.ascontiguousarray(placed[:, 2:6])
     finite = np.isfinite(placed).all(axis=1)
@@ -246,6 +248,11 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
     missing = 1.0 - np.count_nonzero(finite) / len(grid.cells)
+    each = float(np.median(np.diff(grid.position(stream.stamps)))) if name in COMMANDS and \
+        len(stream.stamps) > 1 else 1.0
+    if each >= SEVERAL:
+        warnings.append(f'{topic}: one for {each:.3g} cycles of {IMU_TOPIC}, held until the next '
+                        'one: where the controller is faster, fast motion has the wrong input')
     if name != 'excitation' and missing > LOST_WARNING:
         warnings.append(
             f'{topic}: usable in only {100.0 * (1.0 - missing):.0f} % of the cycles of {IMU_TOPIC}'

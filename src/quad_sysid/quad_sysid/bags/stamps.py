@@ -5,6 +5,7 @@ Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,9 @@ RATE_TOLERANCE = 0.15
 """Relative difference above which a block has another rate."""
 ONE_CYCLE = 0.5
 """A step that is off by less, as a share, is one cycle and neither none nor two."""
+SEVERAL = 1.5
+"""Commands in a cycle of the rates from which their mean counts, and cycles for each command from
+which it is held."""
 CRYSTAL = 2e-4
 """Two clocks differ by less than this share, so an interval that is so near whole µs is meant."""
 BLOCK = 32
@@ -80,6 +84,32 @@ class Grid:
         cells, samples = cells[inside], values[rows][inside]
         out[cells[::-1]] = samples[::-1]
         return out
+
+    def commanded(self, stamps: IntArray, values: FloatArray) -> FloatArray:
+        """(n, w) commands on the grid, each of which holds until the next one.
+
+        Of several in a cycle the mean counts, one for several cycles is held; NaN where the next
+        one is late by half the usual interval.
+        """
+        is_finite = np.isfinite(values).all(axis=1)
+        rows = _in_order(stamps, np.flatnonzero(is_finite), [])
+        place = self.position(stamps[rows])
+        steps = np.diff(place)
+        usual = float(np.median(steps)) if steps.size else 1.0
+        if 1.0 / SEVERAL < usual < SEVERAL:
+            return self.place(stamps, values)
+        held = values[rows]
+        sums = np.concatenate([np.zeros((1, held.shape[1])),
+                               np.cumsum(held[:-1] * steps[:, None], axis=0)])
+        edges = np.arange(self.n + 1.0)
+        last = np.clip(np.searchsorted(place, edges + 1e-6, side='right') - 1, 0, None)
+        out = np.diff(sums[last] + held[last] * (edges - place[last])[:, None], axis=0)
+        oldest = max(1.0, SEVERAL * usual)
+        begins, ends = np.append(0.0, place + oldest), np.append(place, self.n)  # of none
+        for a, b in zip(begins + 1e-6, ends - 1e-6, strict=True):
+            if a < b:
+                out[max(math.floor(a), 0) : max(math.ceil(b), 0)] = np.nan
+        return np.asarray(out)
 
 
 def uniform_grid(stamps: IntArray, source: str) -> Grid:

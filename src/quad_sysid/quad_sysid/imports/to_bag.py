@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from quad_sysid.bags.reader import joined
+from quad_sysid.bags.stamps import SEVERAL
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
@@ -48,8 +49,6 @@ MIN_SAMPLES = 100
 """Least number of samples of a log."""
 MEASURED = ('rates', 'angles', 'acceleration', 'velocity', 'position')
 """Streams that do not stand still between samples, as commands and set-points do."""
-SEVERAL = 1.5
-"""Commands in a cycle of the rates from which their mean counts."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
