@@ -185,11 +185,14 @@ def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
         np.repeat(stamps, 2) + np.tile([500_000, 1_500_000], 100),
         np.stack((first, -first), axis=1).reshape(200, 3))
     far = Stamped(stamps[-1:] + 10 * STEP, np.ones((1, 3)))
-    others = {'/setpoint/rates': other, '/setpoint/attitude': far}
+    late = Stamped(stamps + 1_200_000, np.full((100, 4), 0.5))
+    others = {'/setpoint/rates': other, '/setpoint/attitude': far, '/motors/command': late}
     got = read_bag(write_imu(tmp_path / 'bag', stamps, **others))
     np.testing.assert_array_equal(got.rate_setpoint, first)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
+    assert [line[:55] for line in got.warnings if 'of a cycle' in line] == [
+        '/motors/command: its stamps lie 0.3 of a cycle from tho']
 
 
 @pytest.mark.parametrize('step', [STEP // 4, 2 * STEP])

@@ -47,6 +47,8 @@ BATTERY_GAP_S = 2.0
 """Longest gap, s, over which the voltage is interpolated, and how long it is held at the ends."""
 LOST_WARNING = 0.01
 """Share of the cycles without a value above which a warning says so."""
+OFF = 0.1
+"""Distance of a command's stamp from its cycle's, cycles, above which a warning says so."""
 LATER_PART = re.compile(r'_[1-9][0-9]{0,3}(\.[a-z0-9]+)+$')
 """How the name ends of a file of a split bag that is not its first."""
 SPEED_GAP = 5.0
@@ -248,16 +250,27 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
     missing = 1.0 - np.count_nonzero(finite) / len(grid.cells)
-    each = float(np.median(np.diff(grid.position(stream.stamps)))) if name in COMMANDS and \
-        len(stream.stamps) > 1 else 1.0
-    if each >= SEVERAL:
-        warnings.append(f'{topic}: one for {each:.3g} cycles of {IMU_TOPIC}, held until the next '
-                        'one: where the controller is faster, fast motion has the wrong input')
+    if name in COMMANDS and len(stream.stamps) > 1:
+        warnings += filter(None, [_timing(topic, grid.position(stream.stamps))])
     if name != 'excitation' and missing > LOST_WARNING:
         warnings.append(
             f'{topic}: usable in only {100.0 * (1.0 - missing):.0f} % of the cycles of {IMU_TOPIC}'
         )
     return placed
+
+
+def _timing(topic: str, place: FloatArray) -> str:
+    """What is to be said of commands at these places (n,), cycles of the rates."""
+    each = float(np.median(np.diff(place)))
+    if each >= SEVERAL:
+        return (f'{topic}: one for {each:.3g} cycles of {IMU_TOPIC}, held until the next one: '
+                'where the controller is faster, fast motion has the wrong input')
+    off = float(np.median(np.abs(place - np.rint(place))))
+    if off <= OFF or each * SEVERAL <= 1.0:
+        return ''
+    return (f'{topic}: its stamps lie {off:.2g} of a cycle from those of {IMU_TOPIC}, and each '
+            'command counts in the nearest cycle, so that the delay is wrong by as much: stamp it '
+            'like the rates that it answers to')
 
 
 def _finite(values: FloatArray, topic: str, field: str, grid: Grid,
