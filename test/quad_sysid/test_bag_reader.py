@@ -227,13 +227,19 @@ def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
     assert read_bag(write_bag(got, tmp_path / 'again')).acceleration is None
 
 
-def test_a_rate_that_is_published_again_until_the_next_one_is_measured_is_taken_once(tmp_path):
-    imu = imu_stream(regular())
+def test_what_is_published_again_until_the_next_one_is_measured_is_taken_once(tmp_path):
+    """Between orientations lies a line."""
+    imu, t = imu_stream(regular()), 0.02 * np.arange(N)
+    leans = 0.3 * np.sin(t)
+    imu.values[:, :4] = Rotation.from_euler(
+        'x', np.repeat(leans[::2], 2)[:, None]).as_quat()
     imu.values[1::2, 5:8] = imu.values[::2, 5:8]
     record = read_bag(write_imu(tmp_path / 'bag', regular(), imu))
     np.testing.assert_array_equal(record.rates[::2], imu.values[::2, 5:8])
     assert np.isnan(record.rates[1::2]).all()
-    assert '/imu/data: a rate stands in 2 messages' in ' '.join(record.warnings)
+    np.testing.assert_allclose(record.angles[:-1, 0], leans[:-1], atol=1e-4)
+    for what in ('a rate', 'an orientation'):
+        assert f'/imu/data: {what} stands in 2 messages' in ' '.join(record.warnings)
 
 
 @pytest.mark.parametrize(('volts', 'there'), [(np.nan, False), (0.004, False), (11.1, True)])
