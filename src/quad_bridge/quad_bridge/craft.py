@@ -451,7 +451,7 @@ def ardupilot_channels(parameters: Mapping[str, float], count: int) -> tuple[int
 def ardupilot_range_us(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Pulses of the commands 0 and 1: MOT_PWM_*, without both those of the throttle's stick.
 
-    Up to Copter 4.0 that was the default; 1000 to 2000 µs where the log holds neither.
+    Up to Copter 4.0 that was the default; 1000 to 2000 µs where neither is known.
     """
     stick = int(parameters.get('RCMAP_THROTTLE', 3.0))
     for name in ('MOT_PWM', f'RC{stick}'):

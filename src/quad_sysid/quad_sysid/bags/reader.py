@@ -90,14 +90,15 @@ def read_bag(path: str | Path) -> Record:
     warnings = [*content.warnings, *grid.warnings]
     imu_grid = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
     imu_grid[grid.cells] = imu.values[grid.rows]
-    turned, turns = (new_rows(imu.values[grid.rows, part]) for part in (slice(4), slice(5, 8)))
+    new_angles, new_rates = (new_rows(imu.values[grid.rows, part])
+                             for part in (slice(4), slice(5, 8)))
     warnings += [f'{IMU_TOPIC}: {what} stands in {new.size / new.sum():.3g} messages until the '
                  'next one was measured: each is taken once' for what, new in (
-                     ('a rate', turns), ('an orientation', turned)) if not new.all()]
+                     ('a rate', new_rates), ('an orientation', new_angles)) if not new.all()]
     imu_grid[imu_grid[:, 11] == UNMEASURED, 5:8] = np.nan
     imu_grid[imu_grid[:, 12] == UNMEASURED, 8:11] = np.nan
     rates = _finite(imu_grid[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
-    rates[grid.cells[~turns]] = np.nan
+    rates[grid.cells[~new_rates]] = np.nan
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
     gain_events, unreadable_gains = events.decode_events(content.events.get(GAINS, ()))
@@ -127,8 +128,8 @@ def read_bag(path: str | Path) -> Record:
     if unreadable + unreadable_gains:
         notes.append(f'{unreadable + unreadable_gains} parameter events cannot be read')
     angles = _angles(imu_grid[:, :5])
-    if angles is not None and not turned.all():
-        cells = grid.cells[turned]
+    if angles is not None and not new_angles.all():
+        cells = grid.cells[new_angles]
         angles = joined(cells.astype(float), angles[cells], np.arange(float(grid.n)))
     acceleration = imu_grid[:, 8:11] if np.isfinite(imu_grid[:, 8:11]).any() else None
     gains = events.gains_from(gain_events, seconds)

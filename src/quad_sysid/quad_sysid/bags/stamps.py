@@ -1,6 +1,6 @@
 """Time stamps → the uniform grid of the control cycle: which sample belongs to which cell.
 
-Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is invented.
+Pure array maths on nanoseconds. Repairs are reported as warnings; no sample of the rates is invented.
 """
 
 from __future__ import annotations
@@ -105,10 +105,9 @@ class Grid:
         last = np.clip(np.searchsorted(place, edges + 1e-6, side='right') - 1, 0, None)
         out = np.diff(sums[last] + held[last] * (edges - place[last])[:, None], axis=0)
         oldest = max(1.0, SEVERAL * usual)
-        begins, ends = np.append(0.0, place + oldest), np.append(place, self.n)  # of none
-        for a, b in zip(begins + 1e-6, ends - 1e-6, strict=True):
-            if a < b:
-                out[max(math.floor(a), 0) : max(math.ceil(b), 0)] = np.nan
+        begins, ends = np.append(0.0, place + oldest) + 1e-6, np.append(place, self.n) - 1e-6
+        for i in np.flatnonzero(begins < ends):  # in between none is known
+            out[max(math.floor(begins[i]), 0) : max(math.ceil(ends[i]), 0)] = np.nan
         return np.asarray(out)
 
 
@@ -264,7 +263,7 @@ def new_rows(values: FloatArray) -> npt.NDArray[np.bool_]:
     Such values change at a steady pace; those that stay the same by their resolution do not, and
     all of them count.
     """
-    new = np.concatenate(([True], (np.diff(values, axis=0) != 0.0).any(axis=1)))
+    new = np.concatenate(([True], (values[1:] != values[:-1]).any(axis=1)))
     spans = np.diff(np.flatnonzero(new)[::CHANGES])
     usual = float(np.median(spans)) if spans.size >= 5 else 0.0
     steady = np.abs(spans - usual) <= 1.0 + PACE * usual
