@@ -1,6 +1,6 @@
 """Time stamps → the uniform grid of the control cycle: which sample belongs to which cell.
 
-Pure array maths on nanoseconds. Repairs are reported as warnings; no sample of the rates is invented.
+Pure array maths on nanoseconds. Repairs are reported as warnings; no rate is invented.
 """
 
 from __future__ import annotations
