@@ -437,13 +437,15 @@ def of_ardupilot(parameters: Mapping[str, float]) -> Craft | str:
     return Craft(f"ArduPilot's {frame[0]} {frame[1]}".rstrip(), motors, nominal=True)
 
 
-def ardupilot_channels(parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
+def ardupilot_channels(parameters: Mapping[str, float], count: int = 0) -> tuple[int, ...]:
     """The output channel (from 1) of each motor by SERVOn_FUNCTION; in order where that is silent.
 
-    Functions 33 to 40 are motors 1 to 8, from 82 on the ninth and later.
+    Functions 33 to 40 are motors 1 to 8, from 82 on the ninth and later. count: of the motors; 0:
+    8, 6 or else 4, as many as have an output.
     """
     channels = {int(parameters[f'SERVO{n}_FUNCTION']): n for n in range(32, 0, -1)
                 if f'SERVO{n}_FUNCTION' in parameters}
+    count = count or next((n for n in (8, 6) if {*range(33, 33 + n)} <= channels.keys()), 4)
     named = tuple(channels.get(33 + k if k < 8 else 82 + k - 8, 0) for k in range(count))
     return named if all(named) else tuple(range(1, count + 1))
 

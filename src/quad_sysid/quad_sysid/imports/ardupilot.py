@@ -259,8 +259,7 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]
     """Take the commands: the craft of the motors, the gains' units if known, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
-    count = craft.count if isinstance(craft, Craft) else 4  # where the parameters do not say it
-    channels = ardupilot_channels(table.header, count)
+    channels = ardupilot_channels(table.header, craft.count if isinstance(craft, Craft) else 0)
     pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):
         low, high = ardupilot_range_us(table.header)
