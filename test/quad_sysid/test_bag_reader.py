@@ -181,14 +181,18 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
     first = np.arange(300.0).reshape(100, 3)
-    other = Stamped(  # two of them come in each cycle: the first counts
+    other = Stamped(  # two of them come in each cycle: the nearest counts
         np.repeat(stamps, 2) + np.tile([500_000, 1_500_000], 100),
         np.stack((first, -first), axis=1).reshape(200, 3))
     far = Stamped(stamps[-1:] + 10 * STEP, np.ones((1, 3)))
     late = Stamped(stamps + 1_200_000, np.full((100, 4), 0.5))
-    others = {'/setpoint/rates': other, '/setpoint/attitude': far, '/motors/command': late}
+    fast = Stamped(np.repeat(stamps, 5) + np.tile(800_000 * np.arange(-2, 3), 100),
+                   np.repeat(np.arange(500.0), 3).reshape(500, 3))
+    others = {'/setpoint/rates': other, '/setpoint/attitude': far, '/motors/command': late,
+              '/excitation/applied': fast}
     got = read_bag(write_imu(tmp_path / 'bag', stamps, **others))
     np.testing.assert_array_equal(got.rate_setpoint, first)
+    np.testing.assert_array_equal(got.excitation[:, 0], 5.0 * np.arange(100) + 2.0)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
     assert [line[:55] for line in got.warnings if 'of a cycle' in line] == [

@@ -74,15 +74,16 @@ class Grid:
         return np.where(beyond > 0.0, self.cells[-1] + beyond / step, place)
 
     def place(self, stamps: IntArray, values: FloatArray) -> FloatArray:
-        """(n, w) values on the grid by the nearest cell within half a cycle; else NaN."""
+        """(n, w) values on the grid, of each cell the nearest within half a cycle; else NaN."""
         out = np.full((self.n, values.shape[1]), np.nan)
         if len(stamps) == 0:
             return out
         rows = _in_order(stamps, np.arange(len(stamps)), [])
-        cells = np.rint(self.position(stamps[rows])).astype(np.int64)
-        inside = (cells >= 0) & (cells < self.n)
-        cells, samples = cells[inside], values[rows][inside]
-        out[cells[::-1]] = samples[::-1]
+        place = self.position(stamps[rows])
+        cells = np.rint(place).astype(np.int64)
+        order = np.argsort(np.abs(place - cells), kind='stable')[::-1]  # the nearest comes last
+        order = order[(cells[order] >= 0) & (cells[order] < self.n)]
+        out[cells[order]] = values[rows[order]]
         return out
 
     def commanded(self, stamps: IntArray, values: FloatArray) -> FloatArray:
