@@ -8,6 +8,7 @@ from quad_bridge.craft import (
     Craft,
     Motor,
     X,
+    ardupilot_channels,
     from_urdf,
     of_ardupilot,
     of_betaflight,
@@ -41,6 +42,9 @@ def test_autopilots_of_one_frame_describe_the_same_craft():
     assert [-a[2] for a in inwards.signs] == [b[2] for b in outwards.signs]
     assert of_betaflight({'mixer': 'HEX6X'}).count == 6
     assert of_ardupilot({'FRAME_CLASS': 5.0, 'FRAME_TYPE': 1.0}).name == "ArduPilot's y6"
+    hexa = {f'SERVO{k}_FUNCTION': 39.0 - k for k in range(1, 7)}  # of a frame that is not known
+    assert ardupilot_channels(hexa) == (6, 5, 4, 3, 2, 1)
+    assert ardupilot_channels({}) == (1, 2, 3, 4)
     for why, part in (
         (of_px4({}), 'CA_ROTOR_COUNT'), (of_px4(px4 | {'CA_ROTOR2_KM': 0.0}), 'rotor 3'),
         (of_ardupilot({'FRAME_CLASS': 7.0}), 'FRAME_CLASS 7'),

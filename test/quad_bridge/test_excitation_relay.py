@@ -90,6 +90,8 @@ def test_a_set_point_on_its_way_when_its_segment_ended_is_no_fault():
     relay.segment({'segment': 'idle'}, 0.001, 10.001)
     assert relay.setpoint(0.1, 0.0, 0.0, 10.002, 0.006) is None
     assert relay.status(None, 10.1).message == 'idle'
+    assert relay.setpoint(0.1, 0.0, 0.0, 10.003, 1e6) is None
+    assert 'its stamp is 1000000.0 s old' in relay.status(None, 10.1).message  # as from a bag
     assert relay.setpoint(0.1, 0.0, 0.0, 10.006, 0.002) is None
     assert 'no segment is running' in relay.status(None, 10.1).message
 

@@ -181,15 +181,41 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
     first = np.arange(300.0).reshape(100, 3)
-    other = Stamped(  # two of them come in each cycle: the first counts
+    other = Stamped(  # two of them come in each cycle: the nearest counts
         np.repeat(stamps, 2) + np.tile([500_000, 1_500_000], 100),
         np.stack((first, -first), axis=1).reshape(200, 3))
     far = Stamped(stamps[-1:] + 10 * STEP, np.ones((1, 3)))
-    others = {'/setpoint/rates': other, '/setpoint/attitude': far}
+    late = Stamped(stamps + 1_200_000, np.full((100, 4), 0.5))
+    fast = Stamped(np.repeat(stamps, 5) + np.tile(800_000 * np.arange(-2, 3), 100),
+                   np.repeat(np.arange(500.0), 3).reshape(500, 3))
+    others = {'/setpoint/rates': other, '/setpoint/attitude': far, '/motors/command': late,
+              '/excitation/applied': fast}
     got = read_bag(write_imu(tmp_path / 'bag', stamps, **others))
     np.testing.assert_array_equal(got.rate_setpoint, first)
+    np.testing.assert_array_equal(got.excitation[:, 0], 5.0 * np.arange(100) + 2.0)
     assert got.attitude_setpoint is None
     assert '/setpoint/attitude' in got.missing
+    assert [line[:55] for line in got.warnings if 'of a cycle' in line] == [
+        '/motors/command: its stamps lie 0.3 of a cycle from tho']
+
+
+@pytest.mark.parametrize('step', [STEP // 4, 2 * STEP])
+def test_commands_that_come_faster_or_more_slowly_hold_until_the_next(tmp_path, step):
+    """Of several in a cycle the mean counts; where one is lost, nobody knows."""
+    stamps = regular(400)
+    at = np.delete(stamps[0] + step * np.arange(400 * STEP // step), slice(80, 84))
+    values = np.zeros((at.size, 6))
+    values[:, 2:] = np.random.default_rng(1).uniform(0.4, 0.6, (at.size, 4))
+    got = read_bag(write_streams(tmp_path / 'bag', {
+        '/imu/data': imu_stream(stamps), '/control/wrench': Stamped(at, values)},
+        {'/gains/active': [Event(int(stamps[0]), {'mixer.desaturation': 'none'})]}))
+    every = at[0] + STEP // 4 * np.arange(1600)
+    held = values[np.searchsorted(at, every, side='right') - 1, 2:].reshape(400, 4, 4)
+    lost = slice(20, 21) if step < STEP else slice(161, 168)
+    assert np.isnan(got.control[lost]).all()
+    np.testing.assert_allclose(np.delete(got.control, lost, 0),
+                               np.delete(held.mean(axis=1), lost, 0), atol=1e-12)
+    assert ('one for 2 cycles of /imu/data' in ' '.join(got.warnings)) is (step > STEP)
 
 
 def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
@@ -203,6 +229,21 @@ def test_samples_that_were_not_measured_are_gaps_with_a_warning(tmp_path):
     assert got.axis('roll').segments == ((0, 40), (41, 60), (61, 100))
     assert got.acceleration is None
     assert read_bag(write_bag(got, tmp_path / 'again')).acceleration is None
+
+
+def test_what_is_published_again_until_the_next_one_is_measured_is_taken_once(tmp_path):
+    """Between orientations lies a line."""
+    imu, t = imu_stream(regular()), 0.02 * np.arange(N)
+    leans = 0.3 * np.sin(t)
+    imu.values[:, :4] = Rotation.from_euler(
+        'x', np.repeat(leans[::2], 2)[:, None]).as_quat()
+    imu.values[1::2, 5:8] = imu.values[::2, 5:8]
+    record = read_bag(write_imu(tmp_path / 'bag', regular(), imu))
+    np.testing.assert_array_equal(record.rates[::2], imu.values[::2, 5:8])
+    assert np.isnan(record.rates[1::2]).all()
+    np.testing.assert_allclose(record.angles[:-1, 0], leans[:-1], atol=1e-4)
+    for what in ('a rate', 'an orientation'):
+        assert f'/imu/data: {what} stands in 2 messages' in ' '.join(record.warnings)
 
 
 @pytest.mark.parametrize(('volts', 'there'), [(np.nan, False), (0.004, False), (11.1, True)])

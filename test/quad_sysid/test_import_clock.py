@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quad_sysid.imports.clock import Stream, cycles, every_cycle, hold, unroll
+from quad_sysid.imports.clock import Stream, cycles, every_cycle, fresh, hold, unroll
 
 DT, N = 0.004, 2000
 T = DT * np.arange(N)
@@ -60,6 +60,18 @@ def test_a_gap_is_not_drawn_over_and_a_pause_ends_what_is_held():
     held = hold(Stream(T[:100], np.ones((100, 1))), T, DT)
     assert np.isfinite(held[:102]).all()
     assert np.isnan(held[104:]).all()
+
+
+@pytest.mark.parametrize(('rows_each', 'resolution', 'share'), [
+    (1.0, 0.0, 1.0), (2.0, 0.0, 0.5), (1.6, 0.0, 0.625), (1.0, 0.05, 1.0), (1.0, 0.3, 1.0)])
+def test_what_was_measured_once_is_taken_once(rows_each, resolution, share):
+    """What stays the same by its resolution is not what a logger repeated."""
+    k = np.arange(4000.0)
+    row = np.floor(rows_each * np.floor(k / rows_each)).astype(int)
+    values = np.sin(0.02 * k) + 0.05 * np.random.default_rng(1).standard_normal(k.size)
+    values = np.round(values / resolution) * resolution if resolution else values
+    taken = fresh(Stream(DT * k, values[row, None]))
+    assert len(taken.time_s) == pytest.approx(share * k.size, abs=1.0)
 
 
 def rows(t: np.ndarray) -> np.ndarray:

@@ -104,6 +104,25 @@ def test_other_forms_of_the_table(options, tmp_path, kind):
                                atol=1e-9)
 
 
+@pytest.mark.parametrize('repeated', [True, False])
+def test_a_rate_stands_in_several_rows_or_on_lines_between_them(options, tmp_path, repeated):
+    table, step = columns(), 2 if repeated else 4
+    for name in ('rate', 'angle'):
+        new = table[name][::step]
+        table[name] = new.repeat(step) if repeated else np.interp(
+            table['t'], table['t'][::step], new)
+    text_table(options.file, table)
+    done = imported(options, tmp_path / 'bag')
+    record, said = read_bag(tmp_path / 'bag'), ' '.join(done.warnings)
+    assert ('(rows for each: rates 2, angles 2)' in said) is repeated
+    assert ('the rates are straight lines between samples at some 62.5 Hz' in said) is not repeated
+    if repeated:
+        assert record.dt == 2 * DT
+        np.testing.assert_allclose(record.rates[:, 1], table['rate'][::2], atol=1e-9)
+        np.testing.assert_allclose(record.control[:, 2], table['u'].reshape(-1, 2).mean(axis=1),
+                                   atol=1e-9)
+
+
 @pytest.mark.parametrize(('role', 'unit', 'values', 'si'), [
     ('control', 'pulse_us', (1500.0, 2000.0), (0.0, 0.5)), ('control', 'V', (-10.0,), (-0.5,)),
     ('motor', 'dshot', (48.0, 2047.0), (0.0, 1.0)), ('motor', 'pulse_us', (1000.0,), (0.0,)),
@@ -272,7 +291,9 @@ def test_a_crazyflies_sd_card(tmp_path, version, cut):
     np.testing.assert_allclose(record.rates[:n, 0], columns()['rate'][:n], atol=1e-6)
 
 
-def test_a_bag_of_ros_1(tmp_path):
+@pytest.mark.parametrize(('late_ns', 'behind_ns'), [(3_000_000, 0), (1_000_000, 250_000_000)])
+def test_a_bag_of_ros_1(tmp_path, late_ns, behind_ns):
+    """Also where stamps come from another clock than the times of messages without a stamp."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -292,14 +313,15 @@ def test_a_bag_of_ros_1(tmp_path):
             ns = 10**18 + round(1e9 * t)
             rate, u, felt = (of['Vector3'](*v) for v in (
                 (table['rate'][k], 0.0, 0.0), (table['u'][k], 0.0, 0.0), (0.0, 0.0, 9.81)))
-            head = of['Header'](k, time(*divmod(ns, 10**9)), '')
+            head = of['Header'](k, time(*divmod(ns - behind_ns, 10**9)), '')
             message = of['Imu'](head, upright, nine, rate, nine, felt, nine)
             pulses = of['RCOut'](head, np.array([1500 + k % 9] * 4 + [0] * 4, np.uint16))
-            for topic, late_ns, one in ((imu, 3_000_000, message), (command, 0, u),
-                                        (out, 0, pulses)):
-                raw = store.serialize_ros1(one, topic.msgtype)
-                writer.write(topic, ns + late_ns, raw)
-    assert '/mavros/imu/data.orientation.pitch' in open_table(tmp_path / 'flight.bag').columns
+            for topic, late, one in ((imu, late_ns, message), (command, 0, u), (out, 0, pulses)):
+                writer.write(topic, ns + late, store.serialize_ros1(one, topic.msgtype))
+    opened = open_table(tmp_path / 'flight.bag')
+    assert '/mavros/imu/data.orientation.pitch' in opened.columns
+    assert ('/mavros/imu/data: its stamps are 0.251 s off' in ' '.join(opened.notes)) == bool(
+        behind_ns)
     imported(ColumnOptions(
         file=tmp_path / 'flight.bag', axes=('roll',), control=('/cmd.x',),
         rate=('/mavros/imu/data.angular_velocity.x',),

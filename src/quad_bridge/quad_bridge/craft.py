@@ -437,15 +437,30 @@ def of_ardupilot(parameters: Mapping[str, float]) -> Craft | str:
     return Craft(f"ArduPilot's {frame[0]} {frame[1]}".rstrip(), motors, nominal=True)
 
 
-def ardupilot_channels(parameters: Mapping[str, float], count: int) -> tuple[int, ...]:
+def ardupilot_channels(parameters: Mapping[str, float], count: int = 0) -> tuple[int, ...]:
     """The output channel (from 1) of each motor by SERVOn_FUNCTION; in order where that is silent.
 
-    Functions 33 to 40 are motors 1 to 8, from 82 on the ninth and later.
+    Functions 33 to 40 are motors 1 to 8, from 82 on the ninth and later. count: of the motors; 0:
+    8, 6 or else 4, as many as have an output.
     """
     channels = {int(parameters[f'SERVO{n}_FUNCTION']): n for n in range(32, 0, -1)
                 if f'SERVO{n}_FUNCTION' in parameters}
+    count = count or next((n for n in (8, 6) if {*range(33, 33 + n)} <= channels.keys()), 4)
     named = tuple(channels.get(33 + k if k < 8 else 82 + k - 8, 0) for k in range(count))
     return named if all(named) else tuple(range(1, count + 1))
+
+
+def ardupilot_range_us(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Pulses of the commands 0 and 1: MOT_PWM_*, without both those of the throttle's stick.
+
+    Up to Copter 4.0 that was the default; 1000 to 2000 µs where neither is known.
+    """
+    stick = int(parameters.get('RCMAP_THROTTLE', 3.0))
+    for name in ('MOT_PWM', f'RC{stick}'):
+        low, high = (parameters.get(f'{name}_{end}', 0.0) for end in ('MIN', 'MAX'))
+        if 0.0 < low < high:
+            return low, high
+    return 1000.0, 2000.0
 
 
 def of_betaflight(parameters: Mapping[str, float | str]) -> Craft | str:

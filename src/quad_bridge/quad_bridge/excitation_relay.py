@@ -100,7 +100,7 @@ class ExcitationRelay:
         if self._lost:
             fault = fault or 'the operator has released the enable: start the next segment'
         elif self.injection is Injection.NONE:
-            if now_s - age_s < self._ended_s:
+            if not fault and now_s - age_s < self._ended_s:
                 return None  # it was on its way when its segment ended
             fault = fault or 'no segment is running: publish /excitation/segment first'
         elif not max(abs(x), abs(y), abs(z)) < LARGEST or math.isnan(x + y + z):

@@ -10,7 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from quad_bridge.craft import Craft, ardupilot_channels, of_ardupilot, of_px4
+from quad_bridge.craft import (
+    Craft,
+    ardupilot_channels,
+    ardupilot_range_us,
+    of_ardupilot,
+    of_px4,
+)
 from quad_bridge.link.parameters import ARDUPILOT, PX4, PX4_FIRST_MOTOR
 
 X_ORDER = (1, 3, 0, 2)
@@ -66,8 +72,7 @@ def motor_outputs(
         channels = px4_channels(parameters, craft.count)
     elif autopilot == ARDUPILOT:
         channels = tuple(k - 1 for k in ardupilot_channels(parameters, craft.count))
-        low, high = (parameters.get(f'MOT_PWM_{end}', 0.0) for end in ('MIN', 'MAX'))
-        range_us = (low, high) if 0.0 < low < high else RANGE_US
+        range_us = ardupilot_range_us(parameters)
     words = f'the craft is {craft.name}, {craft.count} motors in their true places'
     return MotorOutputs(craft, channels, range_us, words)
 

@@ -16,7 +16,7 @@ from quad_sysid.bags import events
 from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
 from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
-from quad_sysid.bags.stamps import Grid, uniform_grid
+from quad_sysid.bags.stamps import SEVERAL, Grid, new_rows, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
@@ -37,6 +37,7 @@ OPTIONAL = {
     'rate_setpoint': '/setpoint/rates',
     'excitation': '/excitation/applied',
 }
+COMMANDS = ('wrench', 'motors')
 TOPICS = (IMU_TOPIC, *OPTIONAL.values(), SPEEDS, DESCRIPTION, '/battery', ODOM, BARO,
           SEGMENT, GAINS)
 
@@ -46,6 +47,8 @@ BATTERY_GAP_S = 2.0
 """Longest gap, s, over which the voltage is interpolated, and how long it is held at the ends."""
 LOST_WARNING = 0.01
 """Share of the cycles without a value above which a warning says so."""
+OFF = 0.1
+"""Distance of a command's stamp from its cycle's, cycles, above which a warning says so."""
 LATER_PART = re.compile(r'_[1-9][0-9]{0,3}(\.[a-z0-9]+)+$')
 """How the name ends of a file of a split bag that is not its first."""
 SPEED_GAP = 5.0
@@ -87,9 +90,15 @@ def read_bag(path: str | Path) -> Record:
     warnings = [*content.warnings, *grid.warnings]
     imu_grid = np.full((grid.n, WIDTH[TOPIC_TYPES[IMU_TOPIC]]), np.nan)
     imu_grid[grid.cells] = imu.values[grid.rows]
+    new_angles, new_rates = (new_rows(imu.values[grid.rows, part])
+                             for part in (slice(4), slice(5, 8)))
+    warnings += [f'{IMU_TOPIC}: {what} stands in {new.size / new.sum():.3g} messages until the '
+                 'next one was measured: each is taken once' for what, new in (
+                     ('a rate', new_rates), ('an orientation', new_angles)) if not new.all()]
     imu_grid[imu_grid[:, 11] == UNMEASURED, 5:8] = np.nan
     imu_grid[imu_grid[:, 12] == UNMEASURED, 8:11] = np.nan
     rates = _finite(imu_grid[:, 5:8], IMU_TOPIC, 'angular_velocity', grid, warnings)
+    rates[grid.cells[~new_rates]] = np.nan
     arrays = {name: _array(name, content, grid, warnings) for name in OPTIONAL}
     wrench, motors = arrays['wrench'], arrays['motors']
     gain_events, unreadable_gains = events.decode_events(content.events.get(GAINS, ()))
@@ -119,6 +128,9 @@ def read_bag(path: str | Path) -> Record:
     if unreadable + unreadable_gains:
         notes.append(f'{unreadable + unreadable_gains} parameter events cannot be read')
     angles = _angles(imu_grid[:, :5])
+    if angles is not None and not new_angles.all():
+        cells = grid.cells[new_angles]
+        angles = joined(cells.astype(float), angles[cells], np.arange(float(grid.n)))
     acceleration = imu_grid[:, 8:11] if np.isfinite(imu_grid[:, 8:11]).any() else None
     gains = events.gains_from(gain_events, seconds)
     motion = moving(content.streams, grid, angles, acceleration, warnings)
@@ -233,7 +245,8 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
     stream = content.streams.get(topic)
     if stream is None or len(stream.stamps) == 0:
         return None
-    placed = grid.place(stream.stamps, stream.values)
+    lay = grid.commanded if name in COMMANDS else grid.place
+    placed = lay(stream.stamps, stream.values)
     if name == 'wrench':
         placed = np.ascontiguousarray(placed[:, 2:6])
     finite = np.isfinite(placed).all(axis=1)
@@ -241,11 +254,27 @@ def _array(name: str, content: _Content, grid: Grid, warnings: list[str]) -> Flo
         warnings.append(f'{topic}: no finite value at a stamp of {IMU_TOPIC}; not used')
         return None
     missing = 1.0 - np.count_nonzero(finite) / len(grid.cells)
+    if name in COMMANDS and len(stream.stamps) > 1:
+        warnings += filter(None, [_timing(topic, grid.position(stream.stamps))])
     if name != 'excitation' and missing > LOST_WARNING:
         warnings.append(
             f'{topic}: usable in only {100.0 * (1.0 - missing):.0f} % of the cycles of {IMU_TOPIC}'
         )
     return placed
+
+
+def _timing(topic: str, place: FloatArray) -> str:
+    """What is to be said of commands at these places (n,), cycles of the rates."""
+    each = float(np.median(np.diff(place)))
+    if each >= SEVERAL:
+        return (f'{topic}: one for {each:.3g} cycles of {IMU_TOPIC}, held until the next one: '
+                'where the controller is faster, fast motion has the wrong input')
+    off = float(np.median(np.abs(place - np.rint(place))))
+    if off <= OFF or each * SEVERAL <= 1.0:
+        return ''
+    return (f'{topic}: its stamps lie {off:.2g} of a cycle from those of {IMU_TOPIC}, and each '
+            'command counts in the nearest cycle, so that the delay is wrong by as much: stamp it '
+            'like the rates that it answers to')
 
 
 def _finite(values: FloatArray, topic: str, field: str, grid: Grid,

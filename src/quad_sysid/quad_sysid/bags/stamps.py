@@ -1,10 +1,11 @@
 """Time stamps → the uniform grid of the control cycle: which sample belongs to which cell.
 
-Pure array maths on nanoseconds. Repairs are reported as warnings; no sample is invented.
+Pure array maths on nanoseconds. Repairs are reported as warnings; no rate is invented.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +30,18 @@ RATE_TOLERANCE = 0.15
 """Relative difference above which a block has another rate."""
 ONE_CYCLE = 0.5
 """A step that is off by less, as a share, is one cycle and neither none nor two."""
+SEVERAL = 1.5
+"""Commands in a cycle of the rates from which their mean counts, and cycles for each command from
+which it is held."""
 CRYSTAL = 2e-4
 """Two clocks differ by less than this share, so an interval that is so near whole µs is meant."""
 BLOCK = 32
 """Differences per block in which the rate is checked."""
+REPEATED = 1.1
+"""Samples for each value from which a logger may have repeated what it had."""
+CHANGES, PACE, STEADY = 32, 0.02, 0.8
+"""Changes over which their pace is measured, five times at least; the part by which it may differ,
+besides one sample; and how often it must not."""
 JITTER_WARNING = 0.25
 """Jitter of the stamps, cycles (99th percentile), above which a warning says so."""
 
@@ -65,16 +74,42 @@ class Grid:
         return np.where(beyond > 0.0, self.cells[-1] + beyond / step, place)
 
     def place(self, stamps: IntArray, values: FloatArray) -> FloatArray:
-        """(n, w) values on the grid by the nearest cell within half a cycle; else NaN."""
+        """(n, w) values on the grid, of each cell the nearest within half a cycle; else NaN."""
         out = np.full((self.n, values.shape[1]), np.nan)
         if len(stamps) == 0:
             return out
         rows = _in_order(stamps, np.arange(len(stamps)), [])
-        cells = np.rint(self.position(stamps[rows])).astype(np.int64)
-        inside = (cells >= 0) & (cells < self.n)
-        cells, samples = cells[inside], values[rows][inside]
-        out[cells[::-1]] = samples[::-1]
+        place = self.position(stamps[rows])
+        cells = np.rint(place).astype(np.int64)
+        order = np.argsort(np.abs(place - cells), kind='stable')[::-1]  # the nearest comes last
+        order = order[(cells[order] >= 0) & (cells[order] < self.n)]
+        out[cells[order]] = values[rows[order]]
         return out
+
+    def commanded(self, stamps: IntArray, values: FloatArray) -> FloatArray:
+        """(n, w) commands on the grid, each of which holds until the next one.
+
+        Of several in a cycle the mean counts, one for several cycles is held; NaN where the next
+        one is late by half the usual interval.
+        """
+        is_finite = np.isfinite(values).all(axis=1)
+        rows = _in_order(stamps, np.flatnonzero(is_finite), [])
+        place = self.position(stamps[rows])
+        steps = np.diff(place)
+        usual = float(np.median(steps)) if steps.size else 1.0
+        if 1.0 / SEVERAL < usual < SEVERAL:
+            return self.place(stamps, values)
+        held = values[rows]
+        sums = np.concatenate([np.zeros((1, held.shape[1])),
+                               np.cumsum(held[:-1] * steps[:, None], axis=0)])
+        edges = np.arange(self.n + 1.0)
+        last = np.clip(np.searchsorted(place, edges + 1e-6, side='right') - 1, 0, None)
+        out = np.diff(sums[last] + held[last] * (edges - place[last])[:, None], axis=0)
+        oldest = max(1.0, SEVERAL * usual)
+        begins, ends = np.append(0.0, place + oldest) + 1e-6, np.append(place, self.n) - 1e-6
+        for i in np.flatnonzero(begins < ends):  # in between none is known
+            out[max(math.floor(begins[i]), 0) : max(math.ceil(ends[i]), 0)] = np.nan
+        return np.asarray(out)
 
 
 def uniform_grid(stamps: IntArray, source: str) -> Grid:
@@ -221,6 +256,20 @@ def count_cycles(steps: FloatArray) -> tuple[IntArray, FloatArray]:
         cells[i + 1] = cell
         phases[i + 1] = phase
     return cells, phases
+
+
+def new_rows(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """(n,) where measured values (n, k) are new, if a logger repeated each until the next came.
+
+    Such values change at a steady pace; those that stay the same by their resolution do not, and
+    all of them count.
+    """
+    new = np.concatenate(([True], (values[1:] != values[:-1]).any(axis=1)))
+    spans = np.diff(np.flatnonzero(new)[::CHANGES])
+    usual = float(np.median(spans)) if spans.size >= 5 else 0.0
+    steady = np.abs(spans - usual) <= 1.0 + PACE * usual
+    is_repeated = usual >= REPEATED * CHANGES and steady.mean() >= STEADY
+    return new if is_repeated else np.ones_like(new)
 
 
 def _interval(times: IntArray, cells: IntArray) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from quad_sysid.autopilot_table import ARDUPILOT, Units, ardupilot_units
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.craft import Craft, ardupilot_channels, of_ardupilot
+from quad_sysid.craft import Craft, ardupilot_channels, ardupilot_range_us, of_ardupilot
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import readable
 from quad_sysid.imports.clock import Stream
@@ -259,12 +259,10 @@ def _input(reading: Reading) -> tuple[tuple[Craft, ...], Units | None, list[str]
     """Take the commands: the craft of the motors, the gains' units if known, warnings."""
     table = reading.table
     craft = of_ardupilot(table.header)
-    count = craft.count if isinstance(craft, Craft) else 4  # where the parameters do not say it
-    channels = ardupilot_channels(table.header, count)
+    channels = ardupilot_channels(table.header, craft.count if isinstance(craft, Craft) else 0)
     pulses = within('RCOU', *(f'C{n}' for n in channels))
     if reading.motors_fast(table.stream(*pulses), table.stream(*OUTPUTS.columns)):
-        low = table.header.get('MOT_PWM_MIN', 0.0) or 1000.0
-        high = table.header.get('MOT_PWM_MAX', 0.0) or 2000.0
+        low, high = ardupilot_range_us(table.header)
         how = f'in the places of {craft.name}' if isinstance(craft, Craft) else (
             f'{craft}: their places by what the motion shows')
         reading.take(Signal('motors', pulses, 'µs', f'(pulse - {low:g}) / {high - low:g}; {how}',

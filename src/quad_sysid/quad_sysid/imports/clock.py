@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.bags.stamps import count_cycles, in_whole_us
+from quad_sysid.bags.stamps import count_cycles, in_whole_us, new_rows
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import finite_runs
@@ -97,6 +97,15 @@ class Cycles:
     """Whether the cycles are those of the samples."""
     notes: tuple[str, ...]
 
+    def seconds(self, time_s: float) -> float:
+        """A time of the recording in the bag's, which counts `dt` for each cycle from the first.
+
+        Over ten minutes the two may be a tenth of a second apart.
+        """
+        inside = float(np.clip(time_s, self.times[0], self.times[-1]))
+        place = float(np.interp(inside, self.times, np.arange(self.times.size)))
+        return self.dt * place + time_s - inside
+
 
 def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unrolled:
     """Rows (n,) in an order of increasing time; experiments after a jump follow each other.
@@ -180,6 +189,12 @@ def _spread(
     end = time_s[-1] + (len(rows) - ticks[-1]) * (time_s[-1] - time_s[0]) / max(1, ticks[-1])
     places = np.append(ticks, len(rows)).astype(float)
     return rows, np.interp(np.arange(float(len(rows))), places, np.append(time_s[ticks], end))
+
+
+def fresh(stream: Stream) -> Stream:
+    """Each measured value once, where a logger repeated it until the next one came; else all."""
+    new = new_rows(stream.values)
+    return stream if new.all() else Stream(stream.time_s[new], stream.values[new])
 
 
 def cycles(samples: Stream, where: str, grid_hz: float | None = None,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.clock import Cycles, Stream
 from quad_sysid.imports.log import Experiment
 from quad_sysid.imports.stretches import MIN_DURATION_S, blocks
 from quad_sysid.record import Record, Segment
@@ -41,26 +41,25 @@ def runs_of(signal: str, injection: str, added: Stream) -> tuple[Experiment, ...
 
 
 def with_experiments(
-    record: Record, experiments: Sequence[Experiment], start_s: float
+    record: Record, experiments: Sequence[Experiment], grid: Cycles
 ) -> tuple[Record, str]:
     """The record with segments and excitation, and a line that says so; '' where none is long.
 
-    `start_s` is the record's first sample in the log's time. Each experiment is cut into blocks
-    for training and validation, so that both have some of all frequencies.
+    `grid` has the log's time of each sample. Each experiment is cut into blocks for training and
+    validation, so that both have some of all frequencies.
     """
     excitation = np.full((record.n, len(AXES)), np.nan)
     segments: list[Segment] = []
     text = []
     for experiment in experiments:
-        begin, end = (float(t) - start_s for t in experiment.added.time_s[[0, -1]])
+        begin, end = map(grid.seconds, experiment.added.time_s[[0, -1]].tolist())
         begin, end = max(begin, 0.0), min(end, record.n * record.dt)
         if end - begin < MIN_DURATION_S:
             continue
         rows = slice(int(np.ceil(begin / record.dt)), int(end / record.dt))
-        times = start_s + record.dt * np.arange(rows.start, rows.stop)
         excitation[rows] = 0.0
         excitation[rows, AXES.index(experiment.axis)] = np.interp(
-            times, experiment.added.time_s, experiment.added.values[:, 0])
+            grid.times[rows], experiment.added.time_s, experiment.added.values[:, 0])
         segments += [
             Segment(role, experiment.signal, experiment.axis, experiment.injection, begin + a,
                     begin + b, dict(experiment.parameters)) for role, a, b in blocks(end - begin)]

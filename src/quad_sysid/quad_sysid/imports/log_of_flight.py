@@ -18,7 +18,7 @@ from quad_sysid.bags import read_bag
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import Stream
+from quad_sysid.imports.clock import Cycles, Stream, cycles
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.log import TOPICS, ForeignLog
 from quad_sysid.imports.to_bag import record_of
@@ -44,17 +44,19 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     read = read_log(log, kind)
     start_s = 1e-9 * live.t0_ns
     end_s = start_s + live.n * live.dt
-    cut = _cut(read, start_s - offset_s - 1.0, end_s - offset_s + 1.0)
+    begin_s = start_s - offset_s  # of the bag, in the log's time
+    cut = _cut(read, begin_s - 1.0, end_s - offset_s + 1.0)
     if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < MIN_S:
         raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
                             'the newest log was fetched; take the right one from the card')
     record, repairs, warnings = record_of(cut)
-    t0_ns = round(1e9 * (float(cut.rates.time_s[0]) + offset_s))
-    after_s = 1e-9 * (t0_ns - live.t0_ns)  # of the log's first sample, in the bag
-    record = replace(record, t0_ns=t0_ns)
+    grid = cycles(cut.rates, cut.source)
+    record = replace(record, t0_ns=round(1e9 * (float(grid.times[0]) + offset_s)))
+    live = replace(live, gains=tuple(
+        replace(g, time_s=grid.seconds(g.time_s + begin_s)) for g in live.gains))
     if not read.experiments:
-        record = _with_schedule(record, live, after_s)
-    record = _in_our_unit(record, live, after_s)
+        record = _with_schedule(record, live, grid, begin_s)
+    record = _in_our_unit(record, live, grid.seconds(begin_s), grid.seconds(end_s - offset_s))
     notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
              'import clock': '; '.join(repairs), 'import check': '; '.join(warnings)}
     return write_bag(record, out, BagOptions(notes=notes))
@@ -76,36 +78,38 @@ def _cut(log: ForeignLog, begin_s: float, end_s: float) -> ForeignLog:
     return replace(log, **cut)
 
 
-def _with_schedule(record: Record, live: Record, after_s: float) -> Record:
-    """The bag's segments and excitation on the log's samples."""
-    segments = tuple(replace(s, start_s=max(s.start_s - after_s, 0.0), end_s=s.end_s - after_s)
-                     for s in live.segments if s.end_s - after_s > 0.0)
+def _with_schedule(record: Record, live: Record, grid: Cycles, begin_s: float) -> Record:
+    """The segments and excitation of a bag, which begins at `begin_s` of the log, on its grid."""
+    moved = (replace(s, start_s=max(grid.seconds(s.start_s + begin_s), 0.0),
+                     end_s=grid.seconds(s.end_s + begin_s)) for s in live.segments)
+    segments = tuple(s for s in moved if s.end_s > 0.0)
     excitation = None
     if live.excitation is not None:
-        rows = np.floor((record.time_s + after_s) / live.dt).astype(int)
+        rows = np.floor((grid.times - begin_s) / live.dt).astype(int)
         inside = (rows >= 0) & (rows < live.n)
         excitation = np.full((record.n, 3), np.nan)
         excitation[inside] = live.excitation[rows[inside]]
     return replace(record, segments=segments, excitation=excitation)
 
 
-def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
+def _in_our_unit(record: Record, live: Record, begin_s: float, end_s: float) -> Record:
     """The log's control in the unit of the bag's gains, and these gains.
 
+    The times are the record's, also of the bag's gains and of its begin and end.
     Where the log holds the controller's own outputs, they are in its unit; the gains are the same
     in both at each time, so what they differ by is the factor. Raises BadInputError where that
     changes.
     """
     if not live.gains:
         return record
-    gains = tuple(GainChange(max(g.time_s - after_s, 0.0), g.values) for g in live.gains)
+    gains = tuple(GainChange(max(g.time_s, 0.0), g.values) for g in live.gains)
     if record.motors is not None or record.desaturation != 'none':
         return replace(record, gains=gains)
-    end_s = min(record.n * record.dt, live.n * live.dt - after_s) - LATE_S
+    end_s = min(record.n * record.dt, end_s) - LATE_S
     scale: FloatArray = np.ones(4)
     for i, axis in enumerate(AXES, 1):
-        first, last = (_factor(record, live, f'{axis}.rate.kp', at_s, after_s)
-                       for at_s in (max(0.0, -after_s), end_s))
+        first, last = (_factor(record, live, f'{axis}.rate.kp', at_s)
+                       for at_s in (max(0.0, begin_s), end_s))
         if not math.isclose(first, last, rel_tol=SAME):
             raise BadInputError(record.source, f'holds other gains of {axis} than the bag: their '
                                 f'ratio goes from {first:.3g} to {last:.3g}',
@@ -119,9 +123,9 @@ def _in_our_unit(record: Record, live: Record, after_s: float) -> Record:
                    excitation=excitation)
 
 
-def _factor(record: Record, live: Record, name: str, at_s: float, after_s: float) -> float:
-    """A gain of the bag over the log's at a time of the log; 1 where one does not say it."""
-    of_bag, of_log = live.gains_at(at_s + after_s), record.gains_at(at_s)
+def _factor(record: Record, live: Record, name: str, at_s: float) -> float:
+    """A gain of the bag over the log's at a time of the record; 1 where one does not say it."""
+    of_bag, of_log = live.gains_at(at_s), record.gains_at(at_s)
     if not (of_bag.get(name, 0.0) > 0.0 and of_log.get(name, 0.0) > 0.0):
         return 1.0
     return of_bag[name] / of_log[name]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +24,13 @@ from quad_sysid.files import read_by_library
 
 MAX_NUMBERS = 64
 """Longest array that becomes columns; a longer one is an image, a cloud or a matrix of data."""
+LATE_S = 0.1
+"""Longest time that a message is on its way; stamps that differ by more are of two clocks."""
+QUICK = 0.05
+"""Quantile of the times between stamp and receipt that is taken for the delay of the way alone."""
+STREAM = 100
+"""Least number of messages of a topic that says of its clock: others may have been kept for later
+subscribers."""
 MEND = '`ros2 run quad_bridge recover` rebuilds what is whole, `rosbag reindex` a bag of ROS 1'
 PACKAGE_NAME = re.compile(r'<name>\s*([\w-]+)\s*</name>')
 
@@ -113,11 +120,15 @@ class _Topic:
     getters: list[tuple[Getter, int]]
     """What gives some of the columns, and how many."""
     stamps: array[float] = field(default_factory=lambda: array('d'))
+    delays: array[float] = field(default_factory=lambda: array('d'))
+    """From stamp to receipt, s; 0 where a message has no stamp."""
     values: array[float] = field(default_factory=lambda: array('d'))
 
-    def add(self, stamp: float, message: Any) -> None:
+    def add(self, received: float, message: Any) -> None:
         """Append one message; what it lacks is NaN."""
+        stamp = _stamp(message) or received
         self.stamps.append(stamp)
+        self.delays.append(received - stamp)
         for getter, count in self.getters:
             try:
                 value = getter(message)
@@ -134,8 +145,8 @@ class _Topic:
 
 def read_messages(
     path: Path, names: Collection[str] | None = None, messages: Path | None = None
-) -> tuple[Columns, Columns]:
-    """Every number of every message as `/topic.field.x`, and its times, s.
+) -> tuple[Columns, Columns, tuple[str, ...]]:
+    """Every number of every message as `/topic.field.x`, its times, s, and what was done to them.
 
     Of topics whose name begins a column in `names` (None: all). Raises BadInputError where the
     bag is damaged or holds no definitions of the messages that are wanted.
@@ -161,14 +172,25 @@ def read_messages(
                 topic = topics.get(connection.topic)
                 if topic is None:
                     topic = topics[connection.topic] = _topic(message, connection.topic)
-                topic.add(_stamp(message) or 1e-9 * received, message)
+                topic.add(1e-9 * received, message)
     columns: Columns = {}
     times: Columns = {}
-    for topic in topics.values():
+    shifts = _other_clocks(topics)
+    for name, topic in topics.items():
         of_topic = topic.columns()
         columns |= of_topic
-        times |= dict.fromkeys(of_topic, np.array(topic.stamps))
-    return columns, times
+        times |= dict.fromkeys(of_topic, np.array(topic.stamps) + shifts.get(name, 0.0))
+    return columns, times, tuple(
+        f'{name}: its stamps are {shift:.6g} s off the clock of the recorder, which other topics '
+        'have: moved to it by the messages that came quickest'
+        for name, shift in shifts.items() if abs(shift) > LATE_S)
+
+
+def _other_clocks(topics: Mapping[str, _Topic]) -> dict[str, float]:
+    """What brings the stamps of each topic onto the recorder's clock, s; none if one has all."""
+    shifts = {name: float(np.quantile(topic.delays, QUICK)) for name, topic in topics.items()
+              if len(topic.delays) >= STREAM}
+    return shifts if shifts and np.ptp([*shifts.values()]) > LATE_S else {}
 
 
 def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str],
@@ -180,7 +202,7 @@ def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str]
     """
     topics = [topic for topic in topics_of(path)
               if (match := pattern.match(f'{topic}.')) and match['topic'] in names]
-    columns, times = read_messages(path, [f'{topic}.' for topic in topics], messages)
+    columns, times, notes = read_messages(path, [f'{topic}.' for topic in topics], messages)
     matches = [match for name in columns if (match := pattern.match(name))]
     places = [match['place'] for match in matches]
     chosen = max(dict.fromkeys(places), key=places.count, default='')
@@ -192,7 +214,7 @@ def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str]
             ours[own], clock[own] = columns[match.string], times[match.string]
     alternatives = ', '.join(sorted(set(places) - {chosen}))
     note = f'of several aircraft {chosen or "/"} is read; left out: {alternatives}'
-    return ours, clock, (note,) * bool(alternatives)
+    return ours, clock, (*notes, *[note] * bool(alternatives))
 
 
 def _undefined(path: Path, unknown: dict[str, str], messages: Path | None) -> BadInputError:

@@ -181,7 +181,8 @@ def open_table(
     if head[:1] == bytes([SD_MAGIC]):
         table = Table(str(path), *sd_card(path.read_bytes(), str(path)))
     elif is_bag(path, head):
-        table = Table(str(path), *read_messages(path, names, messages))
+        columns, times, notes = read_messages(path, names, messages)
+        table = Table(str(path), columns, times, notes=notes)
     elif head.startswith(b'MATLAB 5'):
         columns, notes = read_mat(path)
         table = Table(str(path), columns, notes=notes)

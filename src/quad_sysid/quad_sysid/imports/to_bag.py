@@ -7,13 +7,14 @@ asked, and the result is reported.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quad_sysid.bags.reader import joined
+from quad_sysid.bags.stamps import SEVERAL
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import FloatArray
 from quad_sysid.craft import Craft, X
@@ -46,6 +47,8 @@ LAST_S = 2.0**31 - 1e6
 """ROS' seconds end in 2038; a later date is damage."""
 MIN_SAMPLES = 100
 """Least number of samples of a log."""
+MEASURED = ('rates', 'angles', 'acceleration', 'velocity', 'position')
+"""Streams that do not stand still between samples, as commands and set-points do."""
 SLOWEST_HZ = 50.0
 """A slower log of a flight controller shows neither the motors' lag nor the delay."""
 DERIVATIVE_HALF_WIDTH_S = 0.01
@@ -88,15 +91,15 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
 
 
 def gains_of(
-    log: ForeignLog, gains: Mapping[str, float], start_s: float
+    log: ForeignLog, gains: Mapping[str, float], grid: Cycles
 ) -> tuple[GainChange, ...]:
-    """The gains of a record that begins at `start_s` of the log, with what its import added.
+    """The gains of a record on these cycles of the log, with what its import added.
 
     What a change no longer names is switched off, 0: a bag's events add to those before.
     """
     off = dict.fromkeys((name for values in (log.gains, *(c.values for c in log.gain_changes))
                          for name in values), 0.0)
-    changes = [GainChange(change.time_s - start_s, {**gains, **off, **change.values})
+    changes = [GainChange(grid.seconds(change.time_s), {**gains, **off, **change.values})
                for change in log.gain_changes]
     initial = [gains, *(change.values for change in changes if change.time_s <= 0.0)]
     return (*([GainChange(0.0, initial[-1])] if initial[-1] else []),
@@ -115,6 +118,7 @@ def record_of(
 
     `grid_hz` and `dt` as in clock.cycles. Raises BadInputError where the log holds too little.
     """
+    log, held = _once(log)
     base = log.rates or log.angles
     if base is None or len(base.time_s) < MIN_SAMPLES:
         raise BadInputError(log.source, 'has too few samples of the body rates',
@@ -122,11 +126,14 @@ def record_of(
                             f'at least {MIN_SAMPLES} are needed; log longer')
     grid = clock.cycles(base, log.source, grid_hz, dt)
     faster = f' ({log.faster})' if log.faster else ''
-    notes, warnings = [*log.clock, *grid.notes], list(log.warnings)
+    notes, warnings = [*log.clock, *grid.notes], [*held, *log.warnings]
     gains = dict(log.gains)
     rates, angles = _motion(log, grid, gains, notes, warnings)
     control, motors, craft = _commands(log, grid, rates, angles, notes, warnings)
     control, motors = _armed(log, grid, control, motors, warnings)
+    if not np.isfinite(rates[:, 0] + control[:, 0]).any():
+        raise BadInputError(log.source, 'rates and commands were never logged together',
+                            remedy='log both during the same flight')
     if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in control.T):
         raise BadInputError(log.source, 'holds commands that never change',
                             remedy='; '.join([*log.clock, 'import a log of a flight']))
@@ -140,6 +147,10 @@ def record_of(
             f'the commands are straight lines between samples at some {drawn:.3g} Hz: they were '
             'interpolated and not logged at this rate, so no effect can be claimed from them: log '
             f'the commands at the full rate{faster}')
+    drawn = drawn_hz(rates, grid.dt)
+    if drawn and log.rates is not None:
+        warnings.append(f'the rates are straight lines between samples at some {drawn:.3g} Hz, '
+                        'which a fit takes for motion: give each sample once')
     if commands is not None and commands.rate_hz < FAST_ENOUGH / grid.dt:
         warnings.append(
             f'the commands were logged at {commands.rate_hz:.3g} Hz and the rates at '
@@ -160,16 +171,27 @@ def record_of(
                     rate_setpoint=clock.hold_if_any(log.rate_setpoint, grid.times, grid.dt),
                     battery_v=volts_on(log.battery, grid.times),
                     **_translation(log, grid, angles, warnings),
-                    gains=gains_of(log, gains, float(grid.times[0])))
-    if not np.isfinite(record.rates[:, 0] + record.control[:, 0]).any():
-        raise BadInputError(log.source, 'rates and commands were never logged together',
-                            remedy='log both during the same flight')
-    record, experiment = with_experiments(record, log.experiments, float(grid.times[0]))
+                    gains=gains_of(log, gains, grid))
+    record, experiment = with_experiments(record, log.experiments, grid)
     if not experiment:
         record = with_stretches(record, log.axes)
         experiment = stretches_summary(record)
     notes += [experiment] if experiment else []
-    return record, notes, [*warnings, *_gaps(record, log)]
+    return record, notes, [*warnings, *([] if held else _gaps(record, log))]
+
+
+def _once(log: ForeignLog) -> tuple[ForeignLog, list[str]]:
+    """The log, of a table with each measured value once; a line that says so."""
+    new: dict[str, Any] = {}
+    rows = []
+    for role in MEASURED if log.kind == 'a table' else ():
+        stream = getattr(log, role)
+        if stream is not None and (once := clock.fresh(stream)) is not stream:
+            new[role] = once
+            rows.append(f'{role} {len(stream.time_s) / len(once.time_s):.3g}')
+    text = ('measured values were repeated until the next one came (rows for each: '
+            f'{", ".join(rows)}): each is taken once')
+    return replace(log, **new), [text] * bool(new)
 
 
 def _gaps(record: Record, log: ForeignLog) -> list[str]:
@@ -278,9 +300,9 @@ def _on_grid(log: ForeignLog, logged: Stream, grid: Cycles, notes: list[str]) ->
         notes.append(f'commands on straight lines between the logged ones, one for each '
                      f'{1e3 * (log.loop_s or 0.0):.3g} ms of the controller')
         return clock.mean_of_next_cycle(stream, grid.times, grid.dt, 1.0 / logged.rate_hz)
-    if grid.own:
+    if grid.own and logged.rate_hz * grid.dt < SEVERAL:
         return clock.hold(stream, grid.times, grid.dt)
-    return clock.mean_of_next_cycle(stream, grid.times, grid.dt)
+    return clock.mean_of_next_cycle(stream, grid.times, grid.dt, grid.dt if grid.own else None)
 
 
 def _speeds(log: ForeignLog, grid: Cycles, motors: FloatArray | None) -> FloatArray | None:

@@ -176,7 +176,7 @@ def _without_commands(log: ForeignLog, laid: Cycles, why: str) -> Flown:
         axes=tuple(a for a in log.axes if a in _moving(rates)), motors=motors,
         rate_setpoint=resample(log.rate_setpoint), attitude_setpoint=setpoint,
         angles=angles, battery_v=volts_on(log.battery, laid.times),
-        gains=gains_of(log, log.gains, float(laid.times[0])),
+        gains=gains_of(log, log.gains, laid),
         warnings=(f'it cannot be identified: {why}',))
 
 
