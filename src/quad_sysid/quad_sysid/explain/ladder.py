@@ -145,6 +145,8 @@ class Ladder:
 
     models: Models
     rungs: tuple[Rung, ...]
+    drift: FloatArray
+    """(windows,) what the base misses with parameters of other times, (rad/s)²."""
     blocks: int = 0
     reproducible: dict[str, float] = field(default_factory=dict)
     """Name of each effect of the answer → share of the resampled flights in which it is in the
@@ -186,9 +188,8 @@ class Ladder:
     @property
     def negligible(self) -> bool:
         """Whether the reference sees more than the base, but little (discover/search.py)."""
-        lowest = self.rungs[0]
-        equal = np.ones_like(lowest.missed)
-        return lowest.total > 0.0 and bool(self.slight(lowest.missed[None], equal)[0])
+        equal = np.ones_like(self.drift)
+        return self.rungs[0].total > 0.0 and bool(self.slight(self.drift[None], equal)[0])
 
     @property
     def predicts_pct(self) -> float:
@@ -217,22 +218,24 @@ class Ladder:
             yield (missed[:, third] @ weights[third],
                    little(*self._parts[:, third] @ weights[third]))
 
-    def explained(self, missed: FloatArray, weights: FloatArray) -> FloatArray:
+    def explained(self, missed: FloatArray, drift: FloatArray, weights: FloatArray) -> FloatArray:
         """(rungs,) percent explained by what misses `missed` (rungs, windows), the base first.
 
         The least of `thirds`: slow and fast motion count alike, for a drag may do for a friction
-        where the aircraft turns fast. A third where the base misses next to nothing does not
-        count. weights: (windows,) of a resampled flight.
+        where the aircraft turns fast. A third where the base misses next to nothing, also with
+        parameters of other times, does not count. drift: (windows,) the base's, as `Ladder.drift`.
+        weights: (windows,) of a resampled flight.
         """
-        shares = [1.0 - total / total[0] for total, small in self._by_thirds(missed, weights)
+        shares = [1.0 - total[1:] / max(total[1], 1e-30)
+                  for total, small in self._by_thirds(np.vstack([drift, missed]), weights)
                   if total[0] > small]
         return np.asarray(100.0 * np.min([np.ones(missed.shape[0]), *shares], axis=0))
 
-    def sufficient(self, missed: FloatArray, weights: FloatArray) -> int | None:
+    def sufficient(self, missed: FloatArray, drift: FloatArray, weights: FloatArray) -> int | None:
         """The lowest rung that explains EXPLAINS, or the base that misses next to nothing."""
-        if self.slight(missed[:1], weights)[0]:
+        if self.slight(drift[None], weights)[0]:
             return 0
-        enough = np.flatnonzero(self.explained(missed, weights) >= EXPLAINS)
+        enough = np.flatnonzero(self.explained(missed, drift, weights) >= EXPLAINS)
         return int(enough[0]) if enough.size else None
 
     @cached_property
@@ -249,7 +252,7 @@ class Ladder:
         if not self.last:
             return 0
         missed = np.array([rung.missed for rung in self.rungs[: self.last + 1]])
-        enough = self.sufficient(missed, np.ones(missed.shape[1]))
+        enough = self.sufficient(missed, self.drift, np.ones(missed.shape[1]))
         return self.last if enough is None else enough
 
 
@@ -271,17 +274,17 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     models = Models(search, projection)
     if not reference.structure.parts:  # nothing to explain
         single = projection.ordered(reference.structure)
-        return Ladder(models, (Rung(single, single.missed, 0.0),))
+        return Ladder(models, (Rung(single, single.missed, 0.0),), single.missed)
     plain = projection.structure(())
     if not projection.windows.count:  # too short for a free run
         single = Projected(plain, projection.alone(base.theta), np.zeros(0))
-        return Ladder(models, (Rung(single, single.missed, 0.0),))
+        return Ladder(models, (Rung(single, single.missed, 0.0),), single.missed)
     starts = [projection.alone(start) for start in (reference.theta, base.theta)]
     first = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, first.theta)
     rungs = [Rung(lowest, projection.disagreement(lowest), 0.0)]
-    ladder = Ladder(models, tuple(rungs))
+    ladder = Ladder(models, tuple(rungs), projection.disagreement(lowest, later=True))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb, equal = _Climb(models, search, parts, lowest.total), np.ones_like(lowest.missed)
@@ -296,7 +299,8 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         gained = last.total - float(np.sum(missed))
         if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
             climb.left_out.clear()
-            percents = ladder.explained(np.array([rungs[0].missed, missed]), equal)[-1]
+            both = np.array([rungs[0].missed, missed])
+            percents = ladder.explained(both, ladder.drift, equal)[-1]
             rungs.append(Rung(step, missed, max(last.explains_pct, float(percents))))
         else:
             climb.left_out.add(_added(step).label)
@@ -493,10 +497,10 @@ def resampled(
         reference = entries[index].fit
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
-        missed = np.array([rung.missed for rung in rungs] if reference is search.best
-                          else _missed(problem, reference, rungs))
+        missed, drift = (np.array([rung.missed for rung in rungs]), ladder.drift) \
+            if reference is search.best else _missed(problem, reference, rungs)
         for draw in np.flatnonzero(leading == index):
-            enough = ladder.sufficient(missed, weights[draw, of_window])
+            enough = ladder.sufficient(missed, drift, weights[draw, of_window])
             if enough is None and reference is search.best:  # as for the flight as it was
                 enough = ladder.last
             if enough:
@@ -508,13 +512,15 @@ def resampled(
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
-def _missed(problem: Problem, reference: Fit, rungs: Sequence[Rung]) -> list[FloatArray]:
-    """(windows,) what each rung's structure misses of another reference."""
-    projection, out = Projection(problem, reference), []
+def _missed(problem: Problem, reference: Fit,
+            rungs: Sequence[Rung]) -> tuple[FloatArray, FloatArray]:
+    """(rungs, windows) what each rung's structure misses of another reference; its `drift`."""
+    projection, models = Projection(problem, reference), []
     for rung in rungs:
         model = rung.model
         structure = projection.structure(model.structure.parts)
         physics = model.theta[: len(structure.specs) - projection.noise.size]
-        projected = projection.project(structure, np.r_[physics, projection.noise], coarse=True)
-        out.append(projection.disagreement(projected))
-    return out
+        models.append(
+            projection.project(structure, np.r_[physics, projection.noise], coarse=True))
+    return (np.array([projection.disagreement(model) for model in models]),
+            projection.disagreement(models[0], later=True))

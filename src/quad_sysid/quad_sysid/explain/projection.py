@@ -103,12 +103,11 @@ class Projection:
         return np.concatenate([theta[: self.base], self.noise])
 
     def project(self, structure: Structure, start: FloatArray, *, coarse: bool = False,
-                most: int = MOST_STEPS, stay: bool = False) -> Projected:
+                most: int = MOST_STEPS) -> Projected:
         """The parameters with the least squares to the reference, by Levenberg and Marquardt.
 
         The priors of the fit count beside errors of the size of the reference's innovations, so
-        that curves stay smooth. coarse: near enough to choose among candidates. most: steps. stay:
-        the priors pull to the start, where the windows say nothing.
+        that curves stay smooth. coarse: near enough to choose among candidates. most: steps.
         """
         theta = start.astype(float)
         count = theta.size - self.noise.size
@@ -116,7 +115,7 @@ class Projection:
         logs = np.array([spec.log for spec in specs])
         positive = np.array([spec.positive and not spec.log for spec in specs])
         root = self.reference.tail.scale * self._prior(structure)
-        centres = (theta if stay else self.problem.centres(structure))[:count]
+        centres = self.problem.centres(structure)[:count]
         steps = self.steps(structure, theta)
         tolerance = ROUGHLY if coarse else ENOUGH
 
@@ -159,20 +158,22 @@ class Projection:
         precision = self.problem.precision(structure, self.problem.sizes(structure))
         return np.asarray(np.linalg.cholesky(precision[:count, :count]).T)
 
-    def disagreement(self, model: Projected) -> FloatArray:
-        """(windows,) what a model misses of a part of the training, with parameters of the others.
+    def disagreement(self, model: Projected, *, later: bool = False) -> FloatArray:
+        """(windows,) what a model misses of windows that its parameters have not seen.
 
-        One step from the parameters of all: a curve that holds only where it was fitted explains
-        less of the rest, and a base whose gain drifts misses what comes later. A parameter of
-        which the others say nothing stays, such as the size of an event that they do not see.
+        Every third window is run with what the others give, one step from the parameters of all: a
+        curve that holds only where it was fitted explains less of the rest. Windows of one part
+        lie all over the training, for an event shows only after it. later: a part is a third of
+        the training's time, so that what drifts is missed as in a later flight.
         """
         count = self.windows.count
         if count < PARTS or not model.total:  # too short to be cut, or the reference itself
             return model.missed
-        part, missed = np.arange(count) * PARTS // count, np.empty(count)
+        part = np.arange(count) * PARTS // count if later else np.arange(count) % PARTS
+        missed = np.empty(count)
         for k in range(PARTS):
             inside = part == k
-            other = self._on(~inside).project(model.structure, model.theta, most=1, stay=True)
+            other = self._on(~inside).project(model.structure, model.theta, most=1)
             as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
             missed[inside] = as_they_are.missed
         return missed
