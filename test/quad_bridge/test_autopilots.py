@@ -19,6 +19,7 @@ from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.autopilots.check import lines, report
 from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.guard import Guard
 from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
@@ -338,6 +339,25 @@ def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other
     assert f'{other} was set to' in ' '.join(line.notes)
 
 
+def test_parameters_that_a_silent_line_has_not_brought_are_read_later():
+    """Otherwise 23 of 32 gains are all that the bridge ever knows, and the unit may be wrong."""
+    gains, hover = ParameterGains(ARDUPILOT, bytewise=False), 'MOT_THST_HOVER'
+    gains.units = lambda known: (known.get(hover, 0.35),) * 3
+    gains.want(hover)
+    for k in range(3000):
+        request = gains.poll(0.02 * k)
+        heard = 62 < k < 80 or k > 260  # the line breaks
+        if request is not None and heard:
+            gains.take(f.ParamValue(request.name, 0.25, f.REAL32, 1, 0), 0.02 * k)
+        if k == 260:
+            assert gains.state.value == 'read back'
+            assert not set(ARDUPILOT.names) <= set(gains.values)
+            assert hover not in gains.values
+    assert set(gains.values) == {*ARDUPILOT.names, hover}
+    assert gains.active['roll.rate.output_limit'] == 0.25
+    assert gains.poll(100.0) is None
+
+
 def test_what_a_parameter_may_not_be_is_refused_in_one_line():
     known = {'MC_ROLLRATE_K': 1.0}
     with pytest.raises(UnfitError, match=r'rate.kd: MC_ROLLRATE_D must lie in 0 .. 0.01: f'):
@@ -429,6 +449,24 @@ def test_system_id_is_left_before_its_parameters_go_back(flying, case):
     words = {'sticks': 'sticks were moved', 'let go': ''}.get(case, 'has been silent')
     assert words in sid.refusal
     assert bool(words) == bool(sid.refusal)
+
+
+@pytest.mark.parametrize('wait_s', [0.0, 0.4])
+def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile(flying, wait_s):
+    """While its parameters are written, and while the mode is asked for; by switch, no stick."""
+    line, asked = flying('ardupilot'), []
+    controller, sid = line.controller, line.aircraft.system_id
+    before = dict(controller.parameters)
+    controller._set_mode = lambda message: asked.append(message.param2) or flown.DENIED
+    line.segment(signal='chirp', injection='control', axis='pitch', **CHIRP)
+    line.excite(wait_s, 0.05)
+    assert sid.phase.value == ('writing SID parameters' if not wait_s else 'asking for the mode')
+    controller.mode = line.aircraft.flight.mode = flown.LOITER  # as its next heartbeat says
+    asked.clear()
+    line.excite(4.0, 0.05)
+    assert asked == []
+    assert sid.refusal == 'the pilot has chosen another mode'
+    assert controller.parameters == before
 
 
 @pytest.mark.parametrize(('kind', 'name', 'values'), [

@@ -87,12 +87,53 @@ def test_a_first_flight_may_turn_but_not_swing(size, heard):
     assert watch.alarm() is None or 'oscillation near 64 rad/s' in str(watch.alarm())
 
 
+@pytest.mark.parametrize(('size', 'alarm'), [(0.36, None), (0.48, 'near 16 rad/s')])
+def test_out_of_calm_air_an_octave_may_swing_by_its_floor(size, alarm):
+    """Of 1.5 deg, which at 16 rad/s is 0.42 rad/s; of the whole rate it is less than its floor."""
+    watch = GainWatch(50.0)
+    fed(watch, 2.0, 0.0, 16.0, rate_hz=50.0)
+    watch.begin()
+    assert (fed(watch, 4.0, size, 16.0, rate_hz=50.0) is None) is (alarm is None)
+    assert str(alarm) in str(watch.alarm())
+
+
+@pytest.mark.parametrize(('calm_s', 'heard'), [(9.0, False), (11.5, True)])
+def test_before_are_the_last_ten_seconds(calm_s, heard):
+    watch = GainWatch(50.0)
+    fed(watch, 3.0, 0.8, 12.0, rate_hz=50.0)
+    fed(watch, calm_s, 0.0, 12.0, rate_hz=50.0)
+    watch.begin()
+    assert (fed(watch, 4.0, 1.1, 12.0, rate_hz=50.0) is not None) is heard
+    watch.end()
+    watch.restart()
+    fed(watch, calm_s - 1.0, 0.0, 12.0, rate_hz=50.0)
+    assert watch.good is heard
+
+
 def test_what_was_there_before_is_no_alarm_unless_the_design_promised_less():
     for ratio, heard in ((1.0, False), (0.5, True)):
         watch = GainWatch(250.0)
         fed(watch, 6.0, 0.8, 12.0)
         watch.begin({'roll': Predicted(ratio, ratio)})
         assert (fed(watch, 4.0, 1.1, 12.0) is not None) is heard
+
+
+def test_a_step_of_the_stick_may_be_followed_slowly_but_not_for_ever():
+    """20 deg are within 8 deg and twice the step; that fades with 0.5 s, and after 0.6 s it ends.
+
+    A step that is followed with a lag of 0.25 s is no alarm.
+    """
+    for lag_s, alarm_s in ((np.inf, 0.6), (0.25, None)):
+        watch, angle, alarms = GainWatch(50.0), STILL, []
+        fed(watch, 3.0, 0.0, 1.0, rate_hz=50.0)
+        watch.begin()
+        for k in range(100):
+            step = np.radians([20.0, 0.0, 0.0])
+            rate = (step - angle) / lag_s
+            watch.step(rate, angle, step, STILL)
+            angle = angle + 0.02 * rate
+            alarms += [0.02 * k] if watch.alarm() else []
+        assert alarms[:1] == ([] if alarm_s is None else [pytest.approx(alarm_s, abs=0.15)])
 
 
 def test_a_drift_away_from_the_reference_is_heard_without_any_oscillation():

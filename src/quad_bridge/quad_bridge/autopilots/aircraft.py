@@ -171,8 +171,6 @@ class AutopilotAircraft(Aircraft):
             uid = bytes(version.uid2).hex() if any(version.uid2) else f'{version.uid:016x}'
             name = self._name(uid if int(uid, 16) else '')
             self.is_another = self.gains.aircraft not in {'', name}
-            if self.is_another:
-                return
             self.gains.identify(name)
         self.version = version
 
