@@ -11,7 +11,7 @@ from dataclasses import replace
 import flying_autopilot as flown
 import pytest
 from autopilots import INERTIAL
-from flight_controller import CYCLE_S, Port, Pty, Updated
+from flight_controller import CYCLE_S, FlightController, Port, Pty, Updated
 from flying_autopilot import FLYING_ARDUPILOT, FLYING_PX4, Flying
 
 from quad_bridge.aircraft import Ability
@@ -681,6 +681,9 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
 def test_the_check_listens_at_a_port_where_somebody_is(tmp_path, refused, capsys):
     words = ['--check', '--port', str(tmp_path / 'tty'), '--seconds']
     assert 'port not there: plug it in' in refused(check, *words, 0.1)
+    with Port(FlightController(), Pty(tmp_path / 'tty')):
+        assert "an STM32 with this project's firmware needs no --check" in refused(
+            check, *words, 0.3)
     with Port(Flying(KINDS['px4']), Pty(tmp_path / 'tty')):
         assert check([*words, '3']) == 3
     screen = capsys.readouterr().out

@@ -398,7 +398,7 @@ def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_
     bench.gains.ask({'roll.rate.kp': 0.29}, bench.now_s, lambda *x: told.append(x))
     assert not any('step 2' in text for text in bench.goes_on(20.0))
     ((done, words),) = told
-    assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (False, True, True)
+    assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (True, True, True)
     bench.flags = f.Flag.ARMED
     bench.until('step 2 of 2')
 
