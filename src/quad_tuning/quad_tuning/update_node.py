@@ -36,9 +36,10 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
 
     `beside` is what a design sends with its gains, `namespace` the bridge's, `aircraft` the name
     of the one they are for, if that is known. Returns whether the aircraft has read them back, and
-    why not; or that it has the first step of several, which words say then. Raises BadInputError for an invalid namespace or a bridge that is
-    not there or does not answer, KeyboardInterrupt on SIGINT, with words for the user where the
-    bridge has the gains by then. Call it in the main thread.
+    why not; on the ground of several steps the first, as the words say. Raises BadInputError for
+    an invalid namespace or a bridge that is not there or does not answer, KeyboardInterrupt on
+    SIGINT, with words for the user where the bridge has the gains by then. Call it in the main
+    thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
