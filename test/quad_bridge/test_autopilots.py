@@ -21,8 +21,10 @@ from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.kinds import BY_NUMBER
 from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
+from quad_bridge.autopilots.takeover import Takeover
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.update import GainSettings, State
@@ -32,6 +34,7 @@ from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import angles_of
 
 KINDS = {
     name: replace(kind, most_hz={n: min(hz, 62.5 if n in INERTIAL else 25.0)
@@ -260,7 +263,8 @@ def test_nothing_is_written_to_one_that_may_be_another(tmp_path, name, first, se
     other = second(Flying(KINDS[name], uid=0x9999))
     lose(line, 11.0, opened=False, then=other)
     other.parameters[P[name]] = before
-    line.hear(other.pack(other.value(P[name])))  # as a ground station that reads it
+    for written in (PX4 if name == 'px4' else ARDUPILOT).written:
+        line.hear(other.pack(other.value(written)))  # as a ground station that reads them
     line.fly(1.0)
     assert not other.written
     assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
@@ -558,6 +562,23 @@ def test_what_ends_an_excitation(changed, words):
     fault = Guard.of(FlightState(**HOVER)).fault(FlightState(**{**HOVER, **changed}), NOW_S)
     assert re.search(words, fault)
     assert bool(fault) == bool(words)
+
+
+@pytest.mark.parametrize(('injection', 'most_deg'), [
+    (f.Injection.ATTITUDE, 20.0 + 8.0), (f.Injection.RATE, 200.0 + 5.0 * 8.0)])
+def test_what_is_sent_stays_within_its_limits(injection, most_deg):
+    """Of the excitation, and of the lean of 8 deg by which it goes back to its place."""
+    flight = FlightState(**{**HOVER, 'angles': (0.0, 0.0, 1.0), 'speed': (0.0, 0.0, 0.0),
+                            'place_s': NOW_S})  # fmt: skip
+    flown_by = Takeover(BY_NUMBER[3].means, flight, dict)
+    flown_by.begin(0, injection, NOW_S)
+    flight.mode, flight.place, flight.speed = flown.GUIDED_NOGPS, (4.9, 2.0, -3.0), (2.0, 0.0, 0.0)
+    flown_by.poll(NOW_S)
+    flown_by.excite(9.0, NOW_S)
+    (sent,) = flown_by.poll(NOW_S + 0.02)
+    sends = sent.rates if injection is f.Injection.RATE else angles_of(sent.q)
+    assert math.degrees(sends[0]) == pytest.approx(most_deg)
+    assert math.degrees(angles_of(sent.q)[1]) == pytest.approx(8.0)
 
 
 CALM = Inertial(0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 0.0, 1.0))

@@ -6,7 +6,7 @@ bench/watch.py has the study on 100 airframes; here a few flights through the wh
 import numpy as np
 import pytest
 
-from quad_bridge.gains.watch import GainWatch, Predicted
+from quad_bridge.gains.watch import ClimbWatch, GainWatch, Predicted
 from quad_bridge.virtual.receiver import Event
 
 DT = 0.004
@@ -134,6 +134,55 @@ def test_a_step_of_the_stick_may_be_followed_slowly_but_not_for_ever():
             angle = angle + 0.02 * rate
             alarms += [0.02 * k] if watch.alarm() else []
         assert alarms[:1] == ([] if alarm_s is None else [pytest.approx(alarm_s, abs=0.15)])
+
+
+@pytest.mark.parametrize(('away_deg', 'injected', 'alarm_s'), [
+    (15.0, 0.0, 2.04), (20.0, 0.5, None), (25.0, 0.5, 2.04)])
+def test_at_take_off_two_seconds_are_left_to_come_upright(away_deg, injected, alarm_s):
+    """8 deg are allowed then, and half a second of what is injected as a rate: 14 deg."""
+    watch, alarms = GainWatch(50.0), []
+    watch.begin()
+    for k in range(150):
+        watch.step(STILL, np.radians([away_deg, 0.0, 0.0]), STILL, np.full(3, injected))
+        alarms += [0.02 * k] if watch.alarm() else []
+    assert alarms[:1] == ([] if alarm_s is None else [pytest.approx(alarm_s, abs=0.05)])
+
+
+@pytest.mark.parametrize(('injected', 'heard'), [(0.0, True), (1.0, False)])
+def test_motion_that_is_injected_is_explained_and_a_turn_of_the_heading_is_no_motion(
+        injected, heard):
+    watch, alarms = GainWatch(50.0), []
+    for k in range(250):
+        if k == 150:
+            watch.begin()
+        turns = np.array([0.0, 0.0, 1.2 * np.sin(0.24 * k) * (k > 150)])
+        heading = np.array([0.0, 0.0, (1 - 2 * (k % 2)) * (np.pi - 0.001)])
+        watch.step(turns, heading, heading, injected * turns)
+        alarms.append(watch.alarm())
+    assert any(alarms) is heard
+
+
+def test_stored_levels_that_are_none_are_not_used():
+    watch = GainWatch(50.0)
+    known = watch.known
+    for levels in (np.full((6, 3), -1.0), np.full((6, 3), np.nan), np.zeros((5, 3)), 'high', None):
+        watch.know(levels)
+        assert watch.known == known
+    watch.know(np.full((6, 3), 0.01))
+    assert watch.known == [[0.01] * 3] * 6
+
+
+@pytest.mark.parametrize(('ratio', 'size', 'heard'), [
+    (1.0, 1.8, False), (1.0, 2.3, True), (1.5, 2.7, False), (1.5, 3.4, True)])
+def test_a_climb_may_swing_twice_as_much_as_predicted(ratio, size, heard):
+    watch, alarms = ClimbWatch(), []
+    for k in range(3000):
+        now = 3.0 * np.sin(0.02 * np.pi * k) * (size if k > 1500 else 1.0)
+        if k == 1500:
+            watch.begin(ratio)
+        watch.step(9.81 + now, 0.02)
+        alarms.append(watch.alarm())
+    assert any(alarms) is heard
 
 
 def test_a_drift_away_from_the_reference_is_heard_without_any_oscillation():
