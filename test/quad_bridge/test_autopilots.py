@@ -30,6 +30,7 @@ from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.update import GainSettings, State
 from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
+from quad_bridge.link.parameters import Parameters
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.virtual.physics import POSITION, VELOCITY
@@ -89,7 +90,7 @@ class Cockpit(Updated):
                     self.updates.cycle(cycle, now_s)
         elif isinstance(event, Described):
             outputs = motor_outputs(event.peer.autopilot, '', event.parameters)
-            self.connected.autopilot.craft = outputs.craft
+            self.connected.autopilot.describe(outputs.craft)
 
     def poll(self):
         now_s = 1e-9 * self.now_ns
@@ -343,6 +344,43 @@ def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other
     assert f'{other} was set to' in ' '.join(line.notes)
 
 
+@pytest.mark.parametrize(('name', 'deaf'), [
+    ('px4', ''), ('ardupilot', ''), ('ardupilot', 'FRAME_TYPE')])
+def test_a_craft_that_did_not_describe_itself_at_first_does_so_later(tmp_path, name, deaf):
+    """A radio may drop out for seconds; without a craft no gain has a unit, and none is read.
+
+    One that was taken for another is corrected, and the gains are read in its units.
+    """
+    line = Cockpit(name, tmp_path)
+    answers, line.controller._answers = line.controller._answers, lambda m: (
+        () if m.get_type() == 'PARAM_REQUEST_READ' and m.param_id.startswith(deaf) else answers(m))
+    line.fly(4.0)
+    first, crafts, describe = line.aircraft.craft, [], line.aircraft.describe
+    assert (first is None) is (deaf == '')
+    line.aircraft.describe = lambda craft: crafts.append(craft) or describe(craft)
+    line.controller._answers = answers
+    line.fly(16.0)
+    assert line.aircraft.craft not in {first, None}
+    assert set(crafts) == {line.aircraft.craft}  # with the first answers it is not yet known
+    assert not deaf or sum('read back' in text for text in line.notes) == 2
+    assert len(line.updates.active) == (32 if name == 'ardupilot' else 30)
+    line.controller.heard.clear()
+    line.fly(5.0)
+    assert line.controller.heard.count('PARAM_REQUEST_READ') < 30  # for what it does not know
+
+
+def test_where_one_answers_late_the_others_are_waited_for_too():
+    """Otherwise a FRAME_CLASS without its FRAME_TYPE would be a craft for a moment."""
+    asked = Parameters(f.Heartbeat(2, 3))
+    times_ns = iter(range(0, 10**10, 10**8))
+    while not asked.complete:
+        asked.due(next(times_ns))
+    asked.take(f.ParamValue('FRAME_CLASS', 1.0, 1, 0))
+    assert not asked.complete
+    assert 'FRAME_TYPE' in {request.name for _ in range(40) for request in
+                            asked.due(next(times_ns))}  # fmt: skip
+
+
 def test_parameters_that_a_silent_line_has_not_brought_are_read_later():
     """Otherwise 23 of 32 gains are all that the bridge ever knows, and the unit may be wrong."""
     gains, hover = ParameterGains(ARDUPILOT, bytewise=False), 'MOT_THST_HOVER'
@@ -352,7 +390,7 @@ def test_parameters_that_a_silent_line_has_not_brought_are_read_later():
         request = gains.poll(0.02 * k)
         heard = 62 < k < 80 or k > 260  # the line breaks
         if request is not None and heard:
-            gains.take(f.ParamValue(request.name, 0.25, f.REAL32, 1, 0), 0.02 * k)
+            gains.take(f.ParamValue(request.name, 0.25, 1, 0), 0.02 * k)
         if k == 260:
             assert gains.state.value == 'read back'
             assert not set(ARDUPILOT.names) <= set(gains.values)
