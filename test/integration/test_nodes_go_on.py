@@ -80,5 +80,6 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
         say_bag(tmp_path / 'forged', state)
     until(OK, 'not sent: /bag_logger is not the only publisher of /logger/bag: /probe')
     assert probe.call('/identification/identify').success
-    until(OK, 'not sent: it was asked for by ~/identify')
+    values = until(OK, 'not sent: it was asked for by ~/identify')
+    assert f'quad-tune send {values["report"]} sends them: roll.' in node.said
     assert node.end() == 0

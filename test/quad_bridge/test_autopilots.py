@@ -11,7 +11,7 @@ from dataclasses import replace
 import flying_autopilot as flown
 import pytest
 from autopilots import INERTIAL
-from flight_controller import CYCLE_S, Port, Pty, Updated
+from flight_controller import CYCLE_S, FlightController, Port, Pty, Updated
 from flying_autopilot import FLYING_ARDUPILOT, FLYING_PX4, Flying
 
 from quad_bridge.aircraft import Ability
@@ -19,18 +19,23 @@ from quad_bridge.autopilots.aircraft import Connected
 from quad_bridge.autopilots.check import lines, report
 from quad_bridge.autopilots.check import main as check
 from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.gains import ParameterGains
 from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.kinds import BY_NUMBER
 from quad_bridge.autopilots.system_id import sid_parameters
 from quad_bridge.autopilots.table import ARDUPILOT, PX4, UnfitError
+from quad_bridge.autopilots.takeover import Takeover
 from quad_bridge.errors import RefusedError
 from quad_bridge.excitation_relay import ExcitationRelay
 from quad_bridge.gains.update import GainSettings, State
 from quad_bridge.link.autopilot import Inertial, fitted, load
 from quad_bridge.link.machine import Link
+from quad_bridge.link.parameters import Parameters
 from quad_bridge.link.stamping import Arrived, Described, Stamped
 from quad_bridge.motor_outputs import motor_outputs
 from quad_bridge.virtual.physics import POSITION, VELOCITY
 from quad_bridge.wire import frames as f
+from quad_bridge.wire.axes import angles_of
 
 KINDS = {
     name: replace(kind, most_hz={n: min(hz, 62.5 if n in INERTIAL else 25.0)
@@ -85,7 +90,7 @@ class Cockpit(Updated):
                     self.updates.cycle(cycle, now_s)
         elif isinstance(event, Described):
             outputs = motor_outputs(event.peer.autopilot, '', event.parameters)
-            self.connected.autopilot.craft = outputs.craft
+            self.connected.autopilot.describe(outputs.craft)
 
     def poll(self):
         now_s = 1e-9 * self.now_ns
@@ -259,7 +264,8 @@ def test_nothing_is_written_to_one_that_may_be_another(tmp_path, name, first, se
     other = second(Flying(KINDS[name], uid=0x9999))
     lose(line, 11.0, opened=False, then=other)
     other.parameters[P[name]] = before
-    line.hear(other.pack(other.value(P[name])))  # as a ground station that reads it
+    for written in (PX4 if name == 'px4' else ARDUPILOT).written:
+        line.hear(other.pack(other.value(written)))  # as a ground station that reads them
     line.fly(1.0)
     assert not other.written
     assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
@@ -336,6 +342,62 @@ def test_what_acts_beside_the_gains_is_active_too_and_ends_a_trial(flying, other
         assert line.updates.active[ours] == pytest.approx(active * (4.0 if trial else 2.0))
     assert values[p] == before[True]
     assert f'{other} was set to' in ' '.join(line.notes)
+
+
+@pytest.mark.parametrize(('name', 'deaf'), [
+    ('px4', ''), ('ardupilot', ''), ('ardupilot', 'FRAME_TYPE')])
+def test_a_craft_that_did_not_describe_itself_at_first_does_so_later(tmp_path, name, deaf):
+    """A radio may drop out for seconds; without a craft no gain has a unit, and none is read.
+
+    One that was taken for another is corrected, and the gains are read in its units.
+    """
+    line = Cockpit(name, tmp_path)
+    answers, line.controller._answers = line.controller._answers, lambda m: (
+        () if m.get_type() == 'PARAM_REQUEST_READ' and m.param_id.startswith(deaf) else answers(m))
+    line.fly(4.0)
+    first, crafts, describe = line.aircraft.craft, [], line.aircraft.describe
+    assert (first is None) is (deaf == '')
+    line.aircraft.describe = lambda craft: crafts.append(craft) or describe(craft)
+    line.controller._answers = answers
+    line.fly(16.0)
+    assert line.aircraft.craft not in {first, None}
+    assert set(crafts) == {line.aircraft.craft}  # with the first answers it is not yet known
+    assert not deaf or sum('read back' in text for text in line.notes) == 2
+    assert len(line.updates.active) == (32 if name == 'ardupilot' else 30)
+    line.controller.heard.clear()
+    line.fly(5.0)
+    assert line.controller.heard.count('PARAM_REQUEST_READ') < 30  # for what it does not know
+
+
+def test_where_one_answers_late_the_others_are_waited_for_too():
+    """Otherwise a FRAME_CLASS without its FRAME_TYPE would be a craft for a moment."""
+    asked = Parameters(f.Heartbeat(2, 3))
+    times_ns = iter(range(0, 10**10, 10**8))
+    while not asked.complete:
+        asked.due(next(times_ns))
+    asked.take(f.ParamValue('FRAME_CLASS', 1.0, 1, 0))
+    assert not asked.complete
+    assert 'FRAME_TYPE' in {request.name for _ in range(40) for request in
+                            asked.due(next(times_ns))}  # fmt: skip
+
+
+def test_parameters_that_a_silent_line_has_not_brought_are_read_later():
+    """Otherwise 23 of 32 gains are all that the bridge ever knows, and the unit may be wrong."""
+    gains, hover = ParameterGains(ARDUPILOT, bytewise=False), 'MOT_THST_HOVER'
+    gains.units = lambda known: (known.get(hover, 0.35),) * 3
+    gains.want(hover)
+    for k in range(3000):
+        request = gains.poll(0.02 * k)
+        heard = 62 < k < 80 or k > 260  # the line breaks
+        if request is not None and heard:
+            gains.take(f.ParamValue(request.name, 0.25, 1, 0), 0.02 * k)
+        if k == 260:
+            assert gains.state.value == 'read back'
+            assert not set(ARDUPILOT.names) <= set(gains.values)
+            assert hover not in gains.values
+    assert set(gains.values) == {*ARDUPILOT.names, hover}
+    assert gains.active['roll.rate.output_limit'] == 0.25
+    assert gains.poll(100.0) is None
 
 
 def test_what_a_parameter_may_not_be_is_refused_in_one_line():
@@ -431,6 +493,24 @@ def test_system_id_is_left_before_its_parameters_go_back(flying, case):
     assert bool(words) == bool(sid.refusal)
 
 
+@pytest.mark.parametrize('wait_s', [0.0, 0.4])
+def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile(flying, wait_s):
+    """While its parameters are written, and while the mode is asked for; by switch, no stick."""
+    line, asked = flying('ardupilot'), []
+    controller, sid = line.controller, line.aircraft.system_id
+    before = dict(controller.parameters)
+    controller._set_mode = lambda message: asked.append(message.param2) or flown.DENIED
+    line.segment(signal='chirp', injection='control', axis='pitch', **CHIRP)
+    line.excite(wait_s, 0.05)
+    assert sid.phase.value == ('writing SID parameters' if not wait_s else 'asking for the mode')
+    controller.mode = line.aircraft.flight.mode = flown.LOITER  # as its next heartbeat says
+    asked.clear()
+    line.excite(4.0, 0.05)
+    assert asked == []
+    assert sid.refusal == 'the pilot has chosen another mode'
+    assert controller.parameters == before
+
+
 @pytest.mark.parametrize(('kind', 'name', 'values'), [
     ('ardupilot', 'GUID_OPTIONS', {
         12: 'is 12: with its bit 3 no climb is half throttle; set it to 4',
@@ -520,6 +600,23 @@ def test_what_ends_an_excitation(changed, words):
     fault = Guard.of(FlightState(**HOVER)).fault(FlightState(**{**HOVER, **changed}), NOW_S)
     assert re.search(words, fault)
     assert bool(fault) == bool(words)
+
+
+@pytest.mark.parametrize(('injection', 'most_deg'), [
+    (f.Injection.ATTITUDE, 20.0 + 8.0), (f.Injection.RATE, 200.0 + 5.0 * 8.0)])
+def test_what_is_sent_stays_within_its_limits(injection, most_deg):
+    """Of the excitation, and of the lean of 8 deg by which it goes back to its place."""
+    flight = FlightState(**{**HOVER, 'angles': (0.0, 0.0, 1.0), 'speed': (0.0, 0.0, 0.0),
+                            'place_s': NOW_S})  # fmt: skip
+    flown_by = Takeover(BY_NUMBER[3].means, flight, dict)
+    flown_by.begin(0, injection, NOW_S)
+    flight.mode, flight.place, flight.speed = flown.GUIDED_NOGPS, (4.9, 2.0, -3.0), (2.0, 0.0, 0.0)
+    flown_by.poll(NOW_S)
+    flown_by.excite(9.0, NOW_S)
+    (sent,) = flown_by.poll(NOW_S + 0.02)
+    sends = sent.rates if injection is f.Injection.RATE else angles_of(sent.q)
+    assert math.degrees(sends[0]) == pytest.approx(most_deg)
+    assert math.degrees(angles_of(sent.q)[1]) == pytest.approx(8.0)
 
 
 CALM = Inertial(0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 0.0, 1.0))
@@ -643,6 +740,9 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
 def test_the_check_listens_at_a_port_where_somebody_is(tmp_path, refused, capsys):
     words = ['--check', '--port', str(tmp_path / 'tty'), '--seconds']
     assert 'port not there: plug it in' in refused(check, *words, 0.1)
+    with Port(FlightController(), Pty(tmp_path / 'tty')):
+        assert "an STM32 with this project's firmware needs no --check" in refused(
+            check, *words, 0.3)
     with Port(Flying(KINDS['px4']), Pty(tmp_path / 'tty')):
         assert check([*words, '3']) == 3
     screen = capsys.readouterr().out

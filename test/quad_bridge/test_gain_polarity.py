@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flight_controller import STILL
 
 from quad_bridge.craft import LAYOUTS, X
 from quad_bridge.errors import RefusedError
@@ -130,6 +131,18 @@ def answers(order, spins=(1, 1, 1, 1)):
         roll, pitch, yaw = X.signs[motor]
         rows[f'motor_{k + 1}'] = np.array([0.2 * roll, 0.2 * pitch, 0.03 * yaw * spins[k]])
     return rows
+
+
+def test_noise_is_no_answer_and_a_lost_receiver_ends_the_pulses():
+    rng, run = np.random.default_rng(1), PulseRun(['roll', 'pitch', 'yaw'], 50.0)
+    while not run.finished:
+        run.step(tuple(0.1 * rng.standard_normal(3)))
+    assert judge_axes(run.answers) == dict.fromkeys(('roll', 'pitch', 'yaw'), 'silent')
+    check = PolarityCheck('auto', 50.0)
+    for flags, runs in ((f.Flag.ARMED, True), (f.Flag.ARMED | f.Flag.RC_FAILSAFE, False)):
+        check.start(('roll',))
+        check.step(replace(STILL, flags=int(flags)))
+        assert check.running is runs
 
 
 def test_an_axis_counts_where_three_of_the_motors_moved_it():

@@ -30,6 +30,7 @@ from flight_controller import STILL, ZERO, Store, clone, explore
 
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import gate, history, protocol, update
+from quad_bridge.gains.cycles import Gesture
 from quad_bridge.gains.history import History, Worker
 from quad_bridge.gains.protocol import State as Protocol
 from quad_bridge.gains.table import DEFAULT_BOUNDS
@@ -398,7 +399,7 @@ def test_on_the_ground_the_next_step_waits_for_flight_and_who_asked_is_told(tmp_
     bench.gains.ask({'roll.rate.kp': 0.29}, bench.now_s, lambda *x: told.append(x))
     assert not any('step 2' in text for text in bench.goes_on(20.0))
     ((done, words),) = told
-    assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (False, True, True)
+    assert (done, 'step 1 of 2' in words, 'after 3 s of flight' in words) == (True, True, True)
     bench.flags = f.Flag.ARMED
     bench.until('step 2 of 2')
 
@@ -498,6 +499,57 @@ def test_bad_updates_are_refused_and_change_nothing(tmp_path):
         assert len(bench.gains.refused) < 300
     assert not any('in force' in text for text in bench.goes_on(1.0))
     assert bench.stm32.of([KP]) == pytest.approx((0.1,))
+
+
+@pytest.mark.parametrize(('rate_hz', 'flags', 'words'), [
+    (50.0, f.Flag.RC_KILL, "the pilot's kill switch"),
+    (50.0, f.Flag.RC_FAILSAFE, 'failsafe is on'),
+    (35.0, f.Flag.NONE, 'the link brings 35 cycles/s: the watch needs 50'),
+])
+def test_nothing_is_taken_without_a_pilot_or_enough_cycles(tmp_path, rate_hz, flags, words):
+    bench = Bench(tmp_path, rate_hz=rate_hz)
+    bench.flags = flags
+    assert not [*bench.goes_on(12.0)]
+    with pytest.raises(RefusedError, match=words):
+        bench.gains.ask({'roll.rate.kp': 0.15}, bench.now_s)
+
+
+@pytest.mark.parametrize('flags', [f.Flag.ARMED, f.Flag.ARMED | f.Flag.HOLD])
+def test_climb_gains_fly_in_the_height_mode_only(tmp_path, flags):
+    bench = Bench(tmp_path)
+    bench.gains.ask({'roll.rate.kp': 0.15}, bench.now_s)
+    bench.gains.watch.climbs, bench.flags = True, flags
+    assert any('confirmed: they' in text for text in bench.goes_on(12.0)) is (
+        f.Flag.HOLD in flags)
+
+
+def test_what_the_watch_is_told_of_axes_excitation_and_flight(tmp_path):
+    bench, axes, injected, anew = Bench(tmp_path), [], [], []
+    gains, watch = bench.gains, bench.gains.watch
+    watch.begin, watch.restart = lambda *a: axes.append(a[1]), lambda: anew.append(1)
+    watch.step = lambda *a: injected.append(tuple(a[3]))
+    for common in ((), {'roll.rate.kp'}):  # of all axes, as the D filter of PX4
+        gains.protocol.in_common = frozenset(common)
+        gains.ask({'roll.rate.kp': 0.15}, bench.now_s)
+        gains.ask({'rollback': True}, bench.now_s)
+        [*bench.goes_on(1.0)]
+    assert axes == [{'roll'}, {'roll', 'pitch', 'yaw'}]
+    excited = replace(cycle(f.Flag.ARMED), control=(0.5, 0.0, 0.0, 0.0),
+                      excitation=(0.05, 0.0, 0.0), injection=int(f.Injection.CONTROL))
+    gains.cycle(excited, bench.now_s)
+    assert injected[-1] == pytest.approx((0.5, 0.0, 0.0))  # rad/s, by rate.kp of 0.1
+    gains.cycle(cycle(f.Flag.NONE), bench.now_s)
+    assert anew == [1, 1]  # it took off, and has landed
+    gains.protocol.active = {**gains.active, 'climb.rate.kp': 0.2}
+    gains._good = [dict(gains.active)]
+    assert gains._has_flown({'roll.rate.kp': 0.1})
+    assert not gains._has_flown({'climb.rate.kp': 0.2})
+
+
+@pytest.mark.parametrize(('end', 'counts'), [(0.75, False), (0.85, True)])
+def test_the_pilots_gesture_is_from_end_to_end(end, counts):
+    gesture = Gesture()
+    assert [gesture.take(k * end, 0.3 * t) for t, k in enumerate((1, -1, 0, 1))][-1] is counts
 
 
 def test_another_aircraft_on_the_port_writes_nothing_into_the_firsts_files(tmp_path):

@@ -6,7 +6,7 @@ bench/watch.py has the study on 100 airframes; here a few flights through the wh
 import numpy as np
 import pytest
 
-from quad_bridge.gains.watch import GainWatch, Predicted
+from quad_bridge.gains.watch import ClimbWatch, GainWatch, Predicted
 from quad_bridge.virtual.receiver import Event
 
 DT = 0.004
@@ -87,12 +87,102 @@ def test_a_first_flight_may_turn_but_not_swing(size, heard):
     assert watch.alarm() is None or 'oscillation near 64 rad/s' in str(watch.alarm())
 
 
+@pytest.mark.parametrize(('size', 'alarm'), [(0.36, None), (0.48, 'near 16 rad/s')])
+def test_out_of_calm_air_an_octave_may_swing_by_its_floor(size, alarm):
+    """Of 1.5 deg, which at 16 rad/s is 0.42 rad/s; of the whole rate it is less than its floor."""
+    watch = GainWatch(50.0)
+    fed(watch, 2.0, 0.0, 16.0, rate_hz=50.0)
+    watch.begin()
+    assert (fed(watch, 4.0, size, 16.0, rate_hz=50.0) is None) is (alarm is None)
+    assert str(alarm) in str(watch.alarm())
+
+
+@pytest.mark.parametrize(('calm_s', 'heard'), [(9.0, False), (11.5, True)])
+def test_before_are_the_last_ten_seconds(calm_s, heard):
+    watch = GainWatch(50.0)
+    fed(watch, 3.0, 0.8, 12.0, rate_hz=50.0)
+    fed(watch, calm_s, 0.0, 12.0, rate_hz=50.0)
+    watch.begin()
+    assert (fed(watch, 4.0, 1.1, 12.0, rate_hz=50.0) is not None) is heard
+    watch.end()
+    watch.restart()
+    fed(watch, calm_s - 1.0, 0.0, 12.0, rate_hz=50.0)
+    assert watch.good is heard
+
+
 def test_what_was_there_before_is_no_alarm_unless_the_design_promised_less():
     for ratio, heard in ((1.0, False), (0.5, True)):
         watch = GainWatch(250.0)
         fed(watch, 6.0, 0.8, 12.0)
         watch.begin({'roll': Predicted(ratio, ratio)})
         assert (fed(watch, 4.0, 1.1, 12.0) is not None) is heard
+
+
+def test_a_step_of_the_stick_may_be_followed_slowly_but_not_for_ever():
+    """20 deg are within 8 deg and twice the step; that fades with 0.5 s, and after 0.6 s it ends.
+
+    A step that is followed with a lag of 0.25 s is no alarm.
+    """
+    for lag_s, alarm_s in ((np.inf, 0.6), (0.25, None)):
+        watch, angle, alarms = GainWatch(50.0), STILL, []
+        fed(watch, 3.0, 0.0, 1.0, rate_hz=50.0)
+        watch.begin()
+        for k in range(100):
+            step = np.radians([20.0, 0.0, 0.0])
+            rate = (step - angle) / lag_s
+            watch.step(rate, angle, step, STILL)
+            angle = angle + 0.02 * rate
+            alarms += [0.02 * k] if watch.alarm() else []
+        assert alarms[:1] == ([] if alarm_s is None else [pytest.approx(alarm_s, abs=0.15)])
+
+
+@pytest.mark.parametrize(('away_deg', 'injected', 'alarm_s'), [
+    (15.0, 0.0, 2.04), (20.0, 0.5, None), (25.0, 0.5, 2.04)])
+def test_at_take_off_two_seconds_are_left_to_come_upright(away_deg, injected, alarm_s):
+    """8 deg are allowed then, and half a second of what is injected as a rate: 14 deg."""
+    watch, alarms = GainWatch(50.0), []
+    watch.begin()
+    for k in range(150):
+        watch.step(STILL, np.radians([away_deg, 0.0, 0.0]), STILL, np.full(3, injected))
+        alarms += [0.02 * k] if watch.alarm() else []
+    assert alarms[:1] == ([] if alarm_s is None else [pytest.approx(alarm_s, abs=0.05)])
+
+
+@pytest.mark.parametrize(('injected', 'heard'), [(0.0, True), (1.0, False)])
+def test_motion_that_is_injected_is_explained_and_a_turn_of_the_heading_is_no_motion(
+        injected, heard):
+    watch, alarms = GainWatch(50.0), []
+    for k in range(250):
+        if k == 150:
+            watch.begin()
+        turns = np.array([0.0, 0.0, 1.2 * np.sin(0.24 * k) * (k > 150)])
+        heading = np.array([0.0, 0.0, (1 - 2 * (k % 2)) * (np.pi - 0.001)])
+        watch.step(turns, heading, heading, injected * turns)
+        alarms.append(watch.alarm())
+    assert any(alarms) is heard
+
+
+def test_stored_levels_that_are_none_are_not_used():
+    watch = GainWatch(50.0)
+    known = watch.known
+    for levels in (np.full((6, 3), -1.0), np.full((6, 3), np.nan), np.zeros((5, 3)), 'high', None):
+        watch.know(levels)
+        assert watch.known == known
+    watch.know(np.full((6, 3), 0.01))
+    assert watch.known == [[0.01] * 3] * 6
+
+
+@pytest.mark.parametrize(('ratio', 'size', 'heard'), [
+    (1.0, 1.8, False), (1.0, 2.3, True), (1.5, 2.7, False), (1.5, 3.4, True)])
+def test_a_climb_may_swing_twice_as_much_as_predicted(ratio, size, heard):
+    watch, alarms = ClimbWatch(), []
+    for k in range(3000):
+        now = 3.0 * np.sin(0.02 * np.pi * k) * (size if k > 1500 else 1.0)
+        if k == 1500:
+            watch.begin(ratio)
+        watch.step(9.81 + now, 0.02)
+        alarms.append(watch.alarm())
+    assert any(alarms) is heard
 
 
 def test_a_drift_away_from_the_reference_is_heard_without_any_oscillation():

@@ -389,6 +389,19 @@ def test_strange_segments_count_as_idle(tmp_path):
     assert "'trian'" in ' '.join(got.warnings)
 
 
+@pytest.mark.parametrize(('killed_s', 'end_s'), [(2.6, 2.6), (3.2, 4.0), (0.5, 4.0)])
+def test_a_segment_whose_node_was_killed_ends_with_its_excitation(tmp_path, killed_s, end_s):
+    """Not with the landing and what was done by hand after it; without any it is left alone."""
+    made = make_record()
+    flown = np.where(np.arange(N)[:, None] < killed_s / 0.004, made.excitation, np.nan)
+    segments = made.segments[0], replace(made.segments[1], end_s=4.0)
+    bag = write_bag(replace(made, excitation=flown, segments=segments), tmp_path / 'bag')
+    got = read_bag(bag)
+    assert [(s.role, pytest.approx(s.end_s)) for s in got.segments] == [
+        ('idle', 1.0), ('train', end_s)]
+    assert ('no end of train of roll' in ' '.join(got.warnings)) is (end_s < 4.0)
+
+
 @pytest.mark.parametrize(
     ('bare', 'asked', 'spans'),
     [

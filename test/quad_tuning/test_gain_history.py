@@ -148,6 +148,21 @@ def test_what_is_sent_says_from_which_gains_the_design_began(tmp_path, schema, f
     assert json.loads(beside['flown']) == {KP: 0.07}
 
 
+@pytest.mark.parametrize(('answer', 'status', 'out', 'err'), [
+    ((True, ''), 0, 'active: roll.rate.kp 0.1; the bridge watches', ''),
+    ((True, 'step 1 of 2 is in force'), 0, 'step 1 of 2 is in force\n', ''),
+    ((False, 'no link'), 3, '', 'quad-tune: no link\n')])
+def test_what_is_refused_is_an_error_and_the_first_of_several_steps_is_none(
+        tmp_path, monkeypatch, capsys, answer, status, out, err):
+    path = tmp_path / 'gains.json'
+    path.write_text(json.dumps({'schema': 'quad_tuning/design/1',
+                                'axes': {'roll': {'gains': {KP: 0.1}}}}))
+    monkeypatch.setattr('quad_tuning.history._publish', lambda _: lambda *_, **__: answer)
+    assert send(SimpleNamespace(design=path, namespace='')) == status
+    said = capsys.readouterr()
+    assert (said.out.startswith(out), bool(said.out), said.err) == (True, bool(out), err)
+
+
 def test_who_interrupts_send_hears_that_the_bridge_goes_on(tmp_path, monkeypatch, capsys):
     def publish(*_, **__):
         raise KeyboardInterrupt('the bridge goes on')

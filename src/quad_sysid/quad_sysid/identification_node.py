@@ -281,8 +281,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _on_answer(self, future: Any) -> None:
         """Show what the bridge has answered beside the answers."""
         answer = future.result().result
-        words = 'in force, on trial' if answer.successful else f'refused: {answer.reason}'
-        text, log = f'gains {words}', self.get_logger()
+        words = answer.reason or 'in force, on trial'
+        words = words if answer.successful else f'refused: {words}'
+        text, log = f'gains: {words}', self.get_logger()
         if answer.successful:  # rclpy wants one severity for each line of code
             log.info(text)
         else:

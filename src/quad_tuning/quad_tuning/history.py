@@ -248,25 +248,25 @@ def go_back(arguments: argparse.Namespace) -> int:
     if arguments.print or not gains:
         print(text)
         return 0
-    refusal = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace,
-                                   aircraft=path.parent.name)
-    return _report(refusal, f'back to {text}')
+    answer = _publish('rollback')(gains, SOURCE, rollback=True, namespace=arguments.namespace,
+                                  aircraft=path.parent.name)
+    return _report(*answer, f'back to {text}')
 
 
 def send(arguments: argparse.Namespace) -> int:
     """`quad-tune send`. Raises QuadSysidError for bad input."""
     gains, beside = read_design(arguments.design)
     try:
-        refusal = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
+        answer = _publish('send')(gains, SENDER, beside=beside, namespace=arguments.namespace)
     except KeyboardInterrupt as interrupt:
         for line in interrupt.args:
             print(f'quad-tune: {line}', file=sys.stderr)
         raise
-    return _report(refusal, f'active: {words(gains)}; the bridge watches them for 10 s of '
+    return _report(*answer, f'active: {words(gains)}; the bridge watches them for 10 s of '
                    'flight and takes them back if they fly badly: see quad-tune history')
 
 
-def _publish(command: str) -> Callable[..., str]:
+def _publish(command: str) -> Callable[..., tuple[bool, str]]:
     """What sends gains to the bridge; raises BadInputError without ROS."""
     try:
         from quad_tuning.update_node import publish
@@ -276,12 +276,12 @@ def _publish(command: str) -> Callable[..., str]:
     return publish
 
 
-def _report(refusal: str, success: str) -> int:
-    """Say how the bridge answered; the exit status."""
-    if refusal:
-        print(f'quad-tune: {refusal}', file=sys.stderr)
+def _report(done: bool, words: str, success: str) -> int:
+    """Say how the bridge answered, by its `words` if it has any; the exit status."""
+    if not done:
+        print(f'quad-tune: {words}', file=sys.stderr)
         return NOT_ANSWERED
-    print(success)
+    print(words or success)
     return 0
 
 

@@ -31,14 +31,15 @@ GOES_ON = 'the bridge goes on with these gains; quad-tune rollback takes them ba
 
 def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             beside: Mapping[str, str] | None = None, namespace: str = '',
-            aircraft: str = '') -> str:
+            aircraft: str = '') -> tuple[bool, str]:
     """Send `gains` (contract names, SI) to the bridge; `rollback`: or revert those in flight.
 
     `beside` is what a design sends with its gains, `namespace` the bridge's, `aircraft` the name
-    of the one they are for, if that is known. Returns '' once the aircraft has read them back,
-    else the reason why not. Raises BadInputError for an invalid namespace or a bridge that is
-    not there or does not answer, KeyboardInterrupt on SIGINT, with words for the user where the
-    bridge has the gains by then. Call it in the main thread.
+    of the one they are for, if that is known. Returns whether the aircraft has read them back, and
+    why not; on the ground of several steps the first, as the words say. Raises BadInputError for
+    an invalid namespace or a bridge that is not there or does not answer, KeyboardInterrupt on
+    SIGINT, with words for the user where the bridge has the gains by then. Call it in the main
+    thread.
     """
     try:
         validate_namespace(f'/{namespace.strip("/")}')
@@ -94,4 +95,5 @@ def publish(gains: Mapping[str, float], source: str, *, rollback: bool = False,
             raise BadInputError(client.srv_name, 'the bridge has ended before it answered',
                                 remedy='start it again and read /gains/active before you go on')
         result = answer.result().result
-        return '' if result.successful else result.reason or 'the bridge gives no reason'
+        unsaid = '' if result.successful else 'the bridge gives no reason'
+        return result.successful, result.reason or unsaid

@@ -59,6 +59,12 @@ class AutopilotAircraft(Aircraft):
         self._requests, self._ask_s, self._recheck_s = 0, -math.inf, -math.inf
         self.last_cycle: f.Cycle | None = None
 
+    def describe(self, craft: Craft | None) -> None:
+        """Take its craft, from which the unit of its gains follows."""
+        if self.craft not in {None, craft}:
+            self.gains.restart()
+        self.craft = craft
+
     @property
     def number(self) -> tuple[int, int]:
         """Major and minor number of the firmware; 0, 0 while it is not known."""
@@ -171,8 +177,6 @@ class AutopilotAircraft(Aircraft):
             uid = bytes(version.uid2).hex() if any(version.uid2) else f'{version.uid:016x}'
             name = self._name(uid if int(uid, 16) else '')
             self.is_another = self.gains.aircraft not in {'', name}
-            if self.is_another:
-                return
             self.gains.identify(name)
         self.version = version
 

@@ -101,7 +101,7 @@ class _Listener:
                                             event.parameters)
                     if outputs.craft is not None and self.connected.autopilot is not None:
                         self.craft = outputs.craft.name
-                        self.connected.autopilot.craft = outputs.craft
+                        self.connected.autopilot.describe(outputs.craft)
             self._send(now_ns)
 
     def _take(self, frame: object, now_ns: int) -> None:

@@ -26,7 +26,8 @@ AT_ONCE = 8  # names that are asked for at the same time
 STALE_S = 1.0
 """So long after a write an answer may still bear the value of before: ArduPilot answers questions
 in a queue of its own, later than writes."""
-RETRY_S = 1.0  # between two tries to write a good value back, once the first have failed
+RETRY_S = 1.0
+"""Between two tries, once the first have failed, to write a good value back or to read one."""
 
 
 class State(Enum):
@@ -111,10 +112,7 @@ class ParameterGains:
         return self._table.in_common
 
     def identify(self, aircraft: str) -> None:
-        """Set the aircraft's name; sets on the disk of another aircraft are not used."""
-        if self.aircraft not in {'', aircraft}:
-            self._recalled = False
-            self._good = self._good if self._good_of == aircraft else {}
+        """Set the aircraft's name: it is sure from now on."""
         self.aircraft, self.sure = aircraft, True
 
     def want(self, *names: str) -> None:
@@ -191,7 +189,7 @@ class ParameterGains:
         if self.state in {State.SAVING, State.CONFIRMING}:
             self._saved()
             return None
-        if self.state is State.ON_TRIAL:
+        if self.state in AT_REST:
             return self._look(now_s)
         if self.state not in {State.WRITING, State.REVERTING} or now_s < self._due_s \
                 or not self.sure:
@@ -324,22 +322,28 @@ class ParameterGains:
         self._take_back(What.FAILED, words)
 
     def _look(self, now_s: float) -> Request | None:
-        """Read what is on trial, one after the other: another program may have written it."""
-        if now_s < self._due_s or not self._whole:
+        """Read what is on trial, one after the other: another program may have written it.
+
+        Otherwise what has not answered yet: a line may be silent for a while.
+        """
+        names, pause_s = [*self._whole], LOOK_S
+        if self.state is State.READY:
+            names, pause_s = [n for n in self._watched() if n not in self.values], RETRY_S
+        if now_s < self._due_s or not names:
             return None
-        self._due_s, self._checks = now_s + LOOK_S, self._checks + 1
-        return f.ParamRequestRead([*self._whole][self._checks % len(self._whole)])
+        self._due_s, self._checks = now_s + pause_s, self._checks + 1
+        return f.ParamRequestRead(names[self._checks % len(names)])
 
     def _changed(self, name: str, value: float, *, is_first: bool) -> None:
         """Somebody else has written it: a gain, its multiplier, a limit or a filter.
 
         `is_first`: it had not answered before, so nobody need have written it.
         """
-        if name not in self._table.names:
-            return
         if is_first:
             if self.state is State.READY:
                 self._prove(State.READY, What.READ)
+        elif name not in self._table.names:
+            return
         elif self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
             self._foreign += 1
             self._take_back(What.REVERTED,

@@ -40,6 +40,10 @@ class Guard:
         return (flight.height_source == self.height_source
                 and now_s - flight.height_s < HEIGHT_S)
 
+    def mode_fault(self, flight: FlightState, own: int) -> str:
+        """Why its mode ends it, where that is neither the one of before nor `own`."""
+        return '' if flight.mode in {self.mode, own} else 'the pilot has chosen another mode'
+
     def fault(self, flight: FlightState, now_s: float) -> str:  # noqa: C901, PLR0911
         """Why what began so must end now; empty where it may go on."""
         fault = flight.line_fault(now_s) or flight.sticks_fault(now_s)

@@ -157,6 +157,8 @@ class SystemId:
         out: list[f.Frame] = []
         if self.phase in {Phase.WRITING, Phase.ENTERING, Phase.FLYING}:
             fault = self._guard.fault(self._flight, now_s) if self._guard else ''
+            if self._guard and self.phase is not Phase.FLYING:  # which the mode itself ends
+                fault = fault or self._guard.mode_fault(self._flight, MODE)
             if now_s - max(self._last_setpoint_s(), self._start_s) > LATEST_S:
                 fault = fault or f'the schedule has been silent for {LATEST_S:g} s'
             if fault:

@@ -222,11 +222,9 @@ class Takeover:
             return fault
         if self.phase is Phase.FLYING and flight.mode != self._means.mode:
             return f'{self._means.name} was left by the pilot or the autopilot'
-        if flight.mode not in {start.mode, self._means.mode}:
-            return 'the pilot has chosen another mode'
         if self.phase is Phase.FLYING and now_s - self.last_setpoint_s > LATEST_S:
             return f'the schedule has been silent for {LATEST_S:g} s'
-        return ''
+        return start.mode_fault(flight, self._means.mode)
 
     def _set_point(self, start: Guard, now_s: float) -> f.SetAttitudeTarget:
         flight = self._flight

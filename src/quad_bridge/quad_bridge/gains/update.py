@@ -74,7 +74,7 @@ class Note:
 
 
 Reply = Callable[[bool, str], None]
-"""A callback, called once: whether the aircraft has read a set back, and why not."""
+"""A callback, called once: whether the aircraft has read a set back, and why not or which step."""
 
 
 @dataclass
@@ -89,7 +89,7 @@ class _Update:
     armed: bool = False  # at any time since the first step was in force
 
     def tell(self, reason: str = '', *, done: bool = False) -> None:
-        """Answer who waits, once: it is read back as a whole, or why it is not."""
+        """Answer who waits, once: it is read back (`reason`: how far), or why it is not."""
         reply, self.reply = self.reply, None
         if reply is not None:
             reply(done, reason)
@@ -499,7 +499,8 @@ class GainUpdates:
         if last:
             update.tell(done=True)
         elif not self._cycles.flying:
-            update.tell(f'{text}, on trial: the next after {STEP_WATCH_S:g} s of flight')
+            words = f'{text}, on trial: the next after {STEP_WATCH_S:g} s of flight'
+            update.tell(words, done=True)
 
     def end(self, why: str) -> None:
         """Begin to take back what is on trial, which nobody will watch; answer whoever waits."""

@@ -74,7 +74,8 @@ class Link:
         self.autopilot = Autopilot(math.inf if baud is None else LINE_SHARE * baud / 10.0)
         """The decoder of an aircraft that sends standard messages only."""
         self.parameters: Parameters | None = None  # those of such an autopilot
-        self._described = False
+        self._described: int | None = None  # how many of them were known when it was described
+        self._ask_ns = 0
         self.last_cycle: f.Cycle | None = None
         self.last_cycle_ns = 0  # host time at which the last cycle arrived
         self.cycles = 0
@@ -163,11 +164,12 @@ class Link:
             if take is not None:
                 take(frame, now_ns)
         self.tick(now_ns)
-        if self._described or self.parameters is None or self.peer is None:
+        if self.parameters is None or self.peer is None:
             return events
-        if self.parameters.complete:
-            self._described = True
-            events.append(Described(self.peer, self.parameters.values))
+        count = len(self.parameters.values)
+        if count != self._described and self.parameters.complete:
+            self._described = count
+            events.append(Described(self.peer, dict(self.parameters.values)))
         return events
 
     def tick(self, now_ns: int) -> None:
@@ -242,22 +244,24 @@ class Link:
         self.send(f.TimeSync(0, now_ns))
 
     def _ask_parameters(self, now_ns: int) -> None:
-        if self._described or self.peer is None:
+        if self.peer is None or now_ns < self._ask_ns:
             return
         if self.parameters is None:
             self.parameters = Parameters(self.peer)
         for request in self.parameters.due(now_ns):
             self.send(request)
+        if self.parameters.complete:  # it looks rarely for what has not answered
+            self._ask_ns = now_ns + HEARTBEAT_NS
 
     def describe_again(self) -> None:
         """Learn an autopilot's messages and parameters anew, since it is another one."""
-        self.parameters, self._described = None, False
+        self.parameters, self._described, self._ask_ns = None, None, 0
         generic = self.autopilot.generic
         self.autopilot.clear()
         self.autopilot.generic = generic
 
     def _forget_autopilot(self) -> None:
-        self.peer, self.parameters, self._described = None, None, False
+        self.peer, self.parameters, self._described, self._ask_ns = None, None, None, 0
         self.autopilot.clear()
 
     def _arrived(self, frame: Any, _now_ns: int) -> None:
@@ -288,12 +292,13 @@ class Link:
             self.stamping.untimed(BATTERY, frame)
 
     def _outputs(self, frame: f.Outputs, now_ns: int) -> None:
-        if self.autopilot.outputs(frame, now_ns) and self._described and not self.cycles:
+        is_known = self._described is not None and not self.cycles
+        if self.autopilot.outputs(frame, now_ns) and is_known:
             self.stamping.other(MOTORS, frame, frame.time_us, 1, now_ns, bits=32)
 
     def _rotors(self, frame: f.RotorSpeeds, now_ns: int) -> None:
         speeds = self.autopilot.rotors(frame, now_ns)
-        if speeds is None or not self._described:
+        if speeds is None or self._described is None:
             return
         if speeds.time_us is None:
             self.stamping.untimed(ROTORS, speeds)

@@ -1,8 +1,9 @@
 """Parameters of another autopilot that say how craft and sticks lie, asked for by name. Pure.
 
 PX4 and ArduPilot have a thousand parameters; a few dozen are read, some at a time, each asked for
-again where no answer comes. A name that the firmware does not know gets no answer either. What the
-values mean is not known here.
+again where no answer comes. A name that the firmware does not know gets no answer either: it is
+asked for rarely from then on, because the line may have been silent for a while. What the values
+mean is not known here.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from quad_bridge.wire.frames import REAL32, Heartbeat, ParamRequestRead, ParamVa
 
 AT_ONCE = 8  # requests on their way: a telemetry radio must not be flooded
 AGAIN_NS, TRIES = 400_000_000, 3  # longer than an answer over a telemetry radio usually takes
+LATE_NS = 2_000_000_000  # between two tries once the first have failed
 PX4, ARDUPILOT = 12, 3  # MAV_AUTOPILOT
 _INTEGERS = {1: 'B', 2: 'b', 3: 'H', 4: 'h', 5: 'I', 6: 'i'}  # MAV_PARAM_TYPE to its layout
 _PX4_ROTOR = ('PX', 'PY', 'PZ', 'AZ', 'KM')
@@ -70,18 +72,24 @@ class Parameters:
 
     def take(self, value: ParamValue) -> None:
         """Store a value, whoever requested it."""
-        if value.kind == REAL32 or value.kind in _INTEGERS:
-            self.values[value.name] = number(value, bytewise=self._bytewise)
+        is_known_kind = value.kind == REAL32 or value.kind in _INTEGERS
+        if not is_known_kind or value.name not in self._names():
+            return
+        if self.complete and value.name in self._requested and value.name not in self.values:
+            self._requested.clear()  # it answers now: the others may do so too
+        self.values[value.name] = number(value, bytewise=self._bytewise)
 
     def due(self, now_ns: int) -> list[ParamRequestRead]:
         """The requests to send now."""
         waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
+        waiting = waiting or [name for name in self._names() if name not in self.values]
         requests = []
         for name in waiting:
             tries, again_ns = self._requested.get(name, (0, 0))
             if now_ns >= again_ns:
-                self._requested[name] = tries + 1, now_ns + AGAIN_NS
-                if tries < TRIES:
+                pause_ns = AGAIN_NS if tries < TRIES else LATE_NS
+                self._requested[name] = tries + 1, now_ns + pause_ns
+                if tries != TRIES:
                     requests.append(ParamRequestRead(name))
         return requests
 

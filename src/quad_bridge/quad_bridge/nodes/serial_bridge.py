@@ -364,7 +364,7 @@ class SerialBridge(ManagedNode):
         )
         self._say_once(self._motors.words)
         if self._connected.autopilot is not None:
-            self._connected.autopilot.craft = self._motors.craft
+            self._connected.autopilot.describe(self._motors.craft)
         if self._motors.craft is not None:
             self._description.publish(self._motors.craft)
 

@@ -6,8 +6,11 @@ No files; a function converts stamps to seconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from quad_sysid.axes import EVERY
 from quad_sysid.bags.cdr import blank, typestore
@@ -21,6 +24,8 @@ DESATURATIONS = ('clip', 'yaw_first', 'none')
 KINDS: dict[int, tuple[str, type]] = {1: ('bool_value', bool), 2: ('integer_value', int),
                                       3: ('double_value', float), 4: ('string_value', str)}
 """ParameterType to the field that holds the value, and its type; True counts as a bool."""
+UNEXCITED_S = 1.0
+"""The longest time from the last excitation to an end that was announced."""
 
 Value = float | int | str | bool
 
@@ -101,6 +106,27 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
                 Segment(role, signal, axis, injection, start, stop, values) for axis in axes
             ]
     return tuple(segments), warnings
+
+
+def as_excited(segments: Sequence[Segment], applied: npt.NDArray[np.bool_],
+               dt: float) -> tuple[tuple[Segment, ...], list[str]]:
+    """`segments`, each to its last excitation at the latest, and warnings.
+
+    A node that was killed announces no end. `applied`: (n,) cycles in which one was applied; a
+    segment without any is left as it is.
+    """
+    ended, warnings = [], []
+    for segment in segments:
+        first, behind = (round(at_s / dt) for at_s in (segment.start_s, segment.end_s))
+        excited = np.flatnonzero(applied[first:behind])
+        end_s = float(first + excited[-1] + 1) * dt if excited.size else segment.end_s
+        if segment.role != 'idle' and segment.end_s - end_s > UNEXCITED_S:
+            warnings.append(f'/excitation/segment: no end of {segment.role} of {segment.axis}: it '
+                            f'ends at {end_s:.2f} s with its last excitation')
+            ended.append(replace(segment, end_s=end_s))
+        else:
+            ended.append(segment)
+    return tuple(ended), warnings
 
 
 def desaturation_from(events: Sequence[Event]) -> str:
