@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from quad_sysid.axes import EVERY
 from quad_sysid.bags.cdr import blank, typestore
-from quad_sysid.contract import AXES, IDLE
+from quad_sysid.contract import AXES, IDLE, FloatArray
 from quad_sysid.record import ROLES, GainChange, Segment
 
 EVENT = 'rcl_interfaces/msg/ParameterEvent'
@@ -108,13 +107,16 @@ def segments_from(events: Sequence[Event], seconds: Callable[[int], float],
     return tuple(segments), warnings
 
 
-def as_excited(segments: Sequence[Segment], applied: npt.NDArray[np.bool_],
+def as_excited(segments: tuple[Segment, ...], excitation: FloatArray | None,
                dt: float) -> tuple[tuple[Segment, ...], list[str]]:
     """`segments`, each to its last excitation at the latest, and warnings.
 
-    A node that was killed announces no end. `applied`: (n,) cycles in which one was applied; a
-    segment without any is left as it is.
+    A node that was killed announces no end. `excitation`: (n, w) by cycle, NaN where none was
+    applied; a segment without any is left as it is.
     """
+    if excitation is None:
+        return segments, []
+    applied = np.asarray(np.isfinite(excitation).all(axis=1))
     ended, warnings = [], []
     for segment in segments:
         first, behind = (round(at_s / dt) for at_s in (segment.start_s, segment.end_s))

@@ -125,10 +125,8 @@ def read_bag(path: str | Path) -> Record:
 
     segment_events, unreadable = events.decode_events(content.events.get(SEGMENT, ()))
     segments, notes = events.segments_from(segment_events, seconds, grid.n * grid.dt)
-    if arrays['excitation'] is not None:
-        applied = np.asarray(np.isfinite(arrays['excitation']).all(axis=1))
-        segments, unended = events.as_excited(segments, applied, grid.dt)
-        notes += unended
+    segments, unended = events.as_excited(segments, arrays['excitation'], grid.dt)
+    notes += unended
     if unreadable + unreadable_gains:
         notes.append(f'{unreadable + unreadable_gains} parameter events cannot be read')
     angles = _angles(imu_grid[:, :5])
