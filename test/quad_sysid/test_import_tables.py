@@ -23,6 +23,7 @@ from quad_sysid.imports.columns import (
     parse_units,
     read_columns,
 )
+from quad_sysid.imports.guess import guess
 from quad_sysid.imports.log import Stream
 from quad_sysid.imports.mixers import mixer_of
 from quad_sysid.imports.table import open_table
@@ -144,6 +145,15 @@ def test_a_unit_that_nobody_knows_is_asked_for(options, tmp_path, refused, print
     assert "--unit 'gy [rpm]=rad/s'" in printed(main, 'import', file)
     assert main(['import', str(file), '--out', str(tmp_path / 'other')]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_commanded_angle_is_a_reference_and_no_control(tmp_path):
+    own = columns()
+    file = text_table(tmp_path / 'a.csv', {
+        't': own['t'], 'gyro x (deg/s)': own['rate'] / DEG, 'phi cmd (deg)': own['rate']})
+    found = guess(open_table(file), 't').columns
+    assert found['reference'] == ('phi cmd (deg)', '', '')
+    assert 'control' not in found
 
 
 @pytest.mark.parametrize('heads', [

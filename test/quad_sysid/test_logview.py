@@ -19,6 +19,7 @@ from quad_sysid.logview.read import look, of_log, of_record
 from quad_sysid.logview.response import LoopResponse, feedback, measured_delay, plant_delay
 from quad_sysid.logview.spectrum import frames
 from quad_sysid.logview.step import ANGLE, responses
+from quad_sysid.logview.words import sentences
 from quad_sysid.loop.figures import step_figures
 from quad_sysid.record import GainChange, Record
 
@@ -300,7 +301,9 @@ def test_the_heading_of_a_log_without_commands_may_pass_south():
         'log', 'a log', Stream(time, np.column_stack([rate, zero, rate])), None,
         angles=Stream(time, np.column_stack([zero, zero, turned])), axes=('yaw',),
         attitude_setpoint=Stream(time, np.column_stack([zero, zero, wanted])))
-    (angle,) = look_at(of_log(log)).whole.axes['yaw'].tracking
+    seen = look_at(of_log(log))
+    assert sentences(seen)[0].startswith('Yaw has no rate set-point in the log')
+    (angle,) = seen.whole.axes['yaw'].tracking
     assert angle.error_rms < 0.05
     assert angle.latency_s == pytest.approx(50 * DT, rel=0.05)
 

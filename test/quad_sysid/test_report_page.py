@@ -184,6 +184,8 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
             ('step_event', {'name': 'time', 'value': 18.0, 'unit': 's'}, 'in flight at 18 s')):
         other = {**effect, 'name': name, 'parameters': [parameter]}
         assert f'{said} explains' in causes({**tree, 'effects': [other]})
+    motors = {**effect, 'name': 'mode:second_order', 'kind': 'mode'}
+    assert 'speed controller explain ' in causes({**tree, 'effects': [motors]})
     assert tables.effects(tree).rows[0][-1] == f'-{effect["error_reduction_pct"]:.0f} %'
     first, *finer = tables.explanation(tree).rows
     assert first[1] == 'coulomb_friction'

@@ -252,7 +252,9 @@ def _fits(option: str, name: str) -> bool:
         return False
     if option in ('rate', 'angle') and TURNING.search(words):
         return False
-    return option == 'control' or is_setpoint == option.endswith('reference')
+    if option == 'control':
+        return header_unit(name) not in {*UNITS['rate'], *UNITS['angle']}
+    return is_setpoint == option.endswith('reference')
 
 
 def _axes(triple: Sequence[str]) -> tuple[str, ...]:

@@ -85,10 +85,10 @@ def _experiments(look: Measured) -> str:
 def _axis_sentence(look: Measured, on_axis: AxisLook) -> str:
     step, loop = on_axis.rate_step, on_axis.loop
     name = on_axis.axis.capitalize()
+    error = next((track for track in on_axis.tracking if track.quantity == 'rate'), None)
     if step is not None:
         text = f'{name} follows a step of its rate set-point {_figures(step)}'
-    elif on_axis.tracking:
-        error = on_axis.tracking[0]
+    elif error is not None:
         text = (f'{name} deviates from its rate set-point by {DEG * error.error_rms:.3g} deg/s '
                 f'RMS (the set-point: {DEG * error.setpoint_rms:.3g} deg/s RMS); ' + (
                     'gaps come too often' if on_axis.broken else
@@ -262,7 +262,7 @@ def motors(look: Measured) -> Table:
 
 
 def _ms(seconds: float) -> str:
-    return f'{1e3 * seconds:.3g} ms' if np.isfinite(seconds) else '–'
+    return f'{float(f"{1e3 * seconds:.3g}"):g} ms' if np.isfinite(seconds) else '–'
 
 
 def _or(value: float, form: str) -> str:

@@ -270,7 +270,9 @@ def causes(tree: Tree) -> str:
             name, value = size['name'].replace('_', ' '), f'{size["value"]:.3g}'
             of = f' ({name} {value})' if size['unit'] == '1' else \
                 f' {"at" if name == "time" else "of"} {value} {size["unit"]}'
-        parts.append(f'{named(effect)}{of} explains {effect["explains_pct"]:.0f} %')
+        words = named(effect)
+        verb = 'explain' if words.startswith('motor') else 'explains'  # the motors' own are plural
+        parts.append(f'{words}{of} {verb} {effect["explains_pct"]:.0f} %')
     if not parts:
         return ''
     reproducible = tree.get('reproducible', {})
