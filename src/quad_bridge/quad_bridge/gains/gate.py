@@ -232,7 +232,7 @@ def _idle(name: str, active: Mapping[str, float]) -> bool:
 
 def _towards(now: float, target: float, bound: Bound) -> float:
     low, high = bound.one_step(now)
-    return min(max(target, low), high)
+    return min(max(target, low, bound.lower), high, bound.upper)
 
 
 def _check_one(

@@ -81,10 +81,11 @@ class Parameters:
 
     def due(self, now_ns: int) -> list[ParamRequestRead]:
         """The requests to send now."""
-        waiting = [name for name in self._names() if self._open(name)][:AT_ONCE]
-        waiting = waiting or [name for name in self._names() if name not in self.values]
+        waiting = [name for name in self._names() if self._open(name)]
+        waiting = waiting or [name for name in self._names() if name not in self.values
+                              and now_ns >= self._requested[name][1]]
         requests = []
-        for name in waiting:
+        for name in waiting[:AT_ONCE]:
             tries, again_ns = self._requested.get(name, (0, 0))
             if now_ns >= again_ns:
                 pause_ns = AGAIN_NS if tries < TRIES else LATE_NS

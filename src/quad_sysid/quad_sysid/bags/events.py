@@ -123,8 +123,8 @@ def as_excited(segments: tuple[Segment, ...], excitation: FloatArray | None,
         excited = np.flatnonzero(applied[first:behind])
         end_s = float(first + excited[-1] + 1) * dt if excited.size else segment.end_s
         if segment.role != 'idle' and segment.end_s - end_s > UNEXCITED_S:
-            warnings.append(f'/excitation/segment: no end of {segment.role} of {segment.axis}: it '
-                            f'ends at {end_s:.2f} s with its last excitation')
+            warnings.append(f'/excitation/segment: {segment.role} of {segment.axis} ends at '
+                            f'{end_s:.2f} s, with its last excitation')
             ended.append(replace(segment, end_s=end_s))
         else:
             ended.append(segment)
