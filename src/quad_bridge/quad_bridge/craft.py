@@ -23,6 +23,8 @@ ARM_M = 0.2
 """Length of the longest arm where only the arms' directions are known."""
 MOST_TILT = 0.5
 """Least share of a propeller's axis that must point up or down; it lifts, else it is a tail's."""
+RANGE_US = (1000.0, 2000.0)
+"""Pulses of the commands 0 and 1 of a speed controller as it is sold."""
 BODY = 'base_link'
 JOINT = 'motor_'
 ON_AXIS = 0.05
@@ -453,14 +455,14 @@ def ardupilot_channels(parameters: Mapping[str, float], count: int = 0) -> tuple
 def ardupilot_range_us(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Pulses of the commands 0 and 1: MOT_PWM_*, without both those of the throttle's stick.
 
-    Up to Copter 4.0 that was the default; 1000 to 2000 µs where neither is known.
+    Up to Copter 4.0 that was the default; RANGE_US where neither is known.
     """
     stick = int(parameters.get('RCMAP_THROTTLE', 3.0))
     for name in ('MOT_PWM', f'RC{stick}'):
         low, high = (parameters.get(f'{name}_{end}', 0.0) for end in ('MIN', 'MAX'))
         if 0.0 < low < high:
             return low, high
-    return 1000.0, 2000.0
+    return RANGE_US
 
 
 def of_betaflight(parameters: Mapping[str, float | str]) -> Craft | str:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from quad_bridge.craft import (
+    RANGE_US,
     Craft,
     ardupilot_channels,
     ardupilot_range_us,
@@ -22,7 +23,6 @@ from quad_bridge.link.parameters import ARDUPILOT, PX4, PX4_FIRST_MOTOR
 X_ORDER = (1, 3, 0, 2)
 """Outputs of the X frame (front right, rear left, front left, rear right) that are the contract's
 motors 1 to 4."""
-RANGE_US = (1000.0, 2000.0)  # of a speed controller as it is sold
 REMEDY = "set robot_description to a URDF or a layout's name"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from quad_sysid.bags.orientation import euler_from_quaternion
 from quad_sysid.contract import FloatArray
+from quad_sysid.craft import RANGE_US
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import DEMAND_ONLY, ForeignLog, Reading, Signal, within
@@ -76,7 +77,7 @@ def read(path: Path, messages: Path | None = None) -> ForeignLog:
     motors = table.stream(*channels) if channels else None
     command = table.stream(*CONTROLS)
     if reading.motors_fast(motors, command):
-        low, high = 1000.0, 2000.0
+        low, high = RANGE_US
         reading.take(Signal('motors', channels, 'µs', f'(pulse - {low:g}) / {high - low:g}; U by '
                             'what the motion shows',
                             lambda v: np.clip((v - low) / (high - low), 0.0, 1.0)))
