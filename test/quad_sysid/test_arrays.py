@@ -18,6 +18,7 @@ from quad_sysid.arrays import records_of
 from quad_sysid.bags import read_bag, split_segments
 from quad_sysid.cli import main
 from quad_sysid.comparison import trims
+from quad_sysid.loop.cascade import SWITCHED_OFF, CascadeGains
 from quad_sysid.pipeline.usable import together
 from quad_sysid.units import COMMAND, Units, scale
 
@@ -136,11 +137,16 @@ def test_a_bag_of_the_same_numbers_gives_the_same_record(
     t, bag = DT * np.arange(N), tmp_path / 'bag'
     columns = {'t': t, 'volts': 10.0 * U, 'position': 100.0 * np.sin(3.0 * t), 'speed': Y}
     table = text_table(tmp_path / 'slide.csv', columns)
+    gains = {'roll.rate.kp': 0.05, 'roll.angle.kp': 5.0, 'roll.rate.d_on': 'error'}
     printed(main, 'import', table, '--axis', 'roll', '--time', 't', '--control', 'volts', option,
-            column, '--unit', 'volts=V', '--unit', f'{column}={unit}', '--out', bag)
-    mine = qs.from_arrays(u=columns['volts'], dt=DT, units={'u': 'V', name: unit},
+            column, '--unit', 'volts=V', '--unit', f'{column}={unit}', '--out', bag,
+            *(f'--gain={name}={value}' for name, value in gains.items()))
+    mine = qs.from_arrays(u=columns['volts'], dt=DT, units={'u': 'V', name: unit}, gains=gains,
                           **{name: columns[column]})
     stored = split_segments(read_bag(bag), axes=('roll',))
+    assert mine.gains_at(0.0).items() <= stored.gains_at(0.0).items()
+    assert CascadeGains.from_mapping(mine.gains_at(0.0), 'roll') == CascadeGains(
+        5.0, 0.05, 0.0, 0.0, d_on_error=True, **SWITCHED_OFF)  # what is not stated is not there
     np.testing.assert_array_equal(mine.rates, stored.rates)
     np.testing.assert_array_equal(mine.control, stored.control)
     assert mine.dt == stored.dt
@@ -218,6 +224,13 @@ BAD = {
     'short signal': ({'signals': {'battery': Y[:9]}}, 'signals: battery must be as long as u'),
     'short mask': ({'train': np.ones(9, bool)}, 'train must be a mask as long as u: found (9,)'),
     'fraction': ({'train': 1.5}, 'train as a fraction must be between 0 and 1: found 1.5'),
+    'no dict of gains': ({'gains': [0.1]}, 'gains must be a dict of name and number: found list'),
+    'gain of another axis': ({'gains': {'yaw.rate.kp': 1}}, 'gains: yaw.rate.kp is no gain of'),
+    'gain is NaN': ({'gains': {'roll.rate.kp': np.nan}}, 'gains: roll.rate.kp must be a number'),
+    'angle.kp alone': ({'gains': {'roll.angle.kp': 5}}, 'gains: roll.rate.kp is missing'),
+    'rate.kp alone': ({'gains': {'roll.rate.kp': 5}}, 'roll.angle.kp is missing; state it too; 0'),
+    'negative limit': ({'gains': {'roll.rate.kp': 1, 'roll.angle.kp': 5, 'roll.rate.output_limit':
+                                  -1}}, 'rate.output_limit: must be positive: found -1'),
     'overlap': ({'train': 0.7, 'validate': 0.7}, 'train and validate overlap: found 800 samples'),
     'no part': ({'train': slice(10, 10)}, 'train holds no sample'),
     'no column': ({'u': 'volts'}, "u names a column of no frame: found 'volts'"),

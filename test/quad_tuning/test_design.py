@@ -229,6 +229,7 @@ def with_stds(*variances):
         (with_stds(25, 0, 0.01**2, 0, 0), 'delay 0.008 +- 0.01 s is too uncertain'),
         (with_stds(np.nan, 0, 0, 0, 0), 'lacks the plant gain'),
         (lambda m: dataclasses.replace(m, active_gains={}), "flight's gains are not known"),
+        (lambda m: with_gains(m, roll__angle__kp=0.0), 'so the stick commanded the rate'),
         (lambda m: with_gains(m, roll__rate__kp=float('nan')), 'must be finite'),
         (lambda m: with_gains(m, roll__rate__kp=0.4), 'gains that flew are unstable'),
         (lambda m: dataclasses.replace(m, trusted_band_rad_s=(0.1, 5.0)), 'excite that band'),

@@ -22,12 +22,13 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.log import ForeignLog
+from quad_sysid.imports.stated_gains import stated
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
-from quad_sysid.record import SPEED_DT_S, IOData, Record, Segment, finite_runs
+from quad_sysid.parts import WHERE, Part, with_parts
+from quad_sysid.record import SPEED_DT_S, IOData, Record
 from quad_sysid.units import Units
 
-WHERE = 'arrays'
 MOST_COMMAND = 0.5
 """Largest normalised command."""
 MIN_PER_OSCILLATION = 15
@@ -61,12 +62,6 @@ class Table(Protocol):
 
 Samples: TypeAlias = npt.ArrayLike | Sequence[npt.ArrayLike]
 """(n,) numbers, of one experiment or a list with one array for each; or the name of a column."""
-Part: TypeAlias = (bool | float | slice | tuple[float, float] | npt.NDArray[np.bool_]
-                   | Sequence[slice] | Sequence[bool])
-"""A part of an experiment: a fraction, a slice or slices of samples, a mask (n,), (from, to) in s,
-or True for the whole of it and False for nothing."""
-Parts: TypeAlias = Part | Sequence[Part]
-"""A part of each experiment: one for all, or a list with one for each."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,8 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
                 y: Samples | None = None, dt: float | None = None, t: Samples | None = None,
                 angle: Samples | None = None, reference: Samples | None = None,
                 signals: Mapping[str, Samples] | None = None,
-                units: Mapping[str, str | float] | None = None, train: Part | None = None,
+                units: Mapping[str, str | float] | None = None,
+                gains: Mapping[str, float] | None = None, train: Part | None = None,
                 validate: Part | None = None, axis: str = 'roll') -> Record:
     """A Record of one experiment, which can be passed wherever a flight can.
 
@@ -97,11 +93,14 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
     may be names of its columns; a response of python-control, a pair (u, y) and IOData bring
     their own. `units`: of `u`, `y`, `angle`, `reference`, `t` and the signals, a name or a factor
     to the contract's; rad/s, rad, s where none is given, and u beyond -0.5..0.5 is scaled.
+    `gains`: those that flew, by the contract's names (`roll.rate.kp`, …) and SI: normalised
+    command per rad/s, which is `units.per_command` of the record times that of u.
     `train`, `validate`: see Part; the rest of one is the other. NaN and masked values are missing.
     Raises BadInputError, one line that names the argument.
     """
     records = records_of(data, u=u, y=y, dt=dt, t=t, angle=angle, reference=reference,
-                         signals=signals, units=units, train=train, validate=validate, axis=axis)
+                         signals=signals, units=units, gains=gains, train=train,
+                         validate=validate, axis=axis)
     if len(records) != 1:
         raise BadInputError(WHERE, 'are of several experiments', len(records),
                             'hand the lists to identify, or one experiment here')
@@ -110,12 +109,17 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
 
 def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None, t: Any = None,
                angle: Any = None, reference: Any = None, signals: Any = None, units: Any = None,
-               train: Any = None, validate: Any = None, axis: str = 'roll') -> list[Record]:
+               gains: Any = None, train: Any = None, validate: Any = None,
+               axis: str = 'roll') -> list[Record]:
     """A Record for each experiment; arguments as `from_arrays`, each a list of several, too."""
     if axis not in AXES:
         raise BadInputError(WHERE, f'axis must be one of {", ".join(AXES)}', repr(axis))
     arguments = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
                  **{f'signals: {name}': signal for name, signal in _signals(signals).items()}}
+    if gains is not None and not isinstance(gains, Mapping):
+        raise BadInputError(WHERE, 'gains must be a dict of name and number',
+                            type(gains).__name__, "such as gains={'roll.rate.kp': 0.07, …}")
+    flown = stated(gains or {}, (axis,), f'{WHERE}: gains')
     several = isinstance(data, list) or any(map(_several, arguments.values()))
     count = 1
     if several:
@@ -136,7 +140,7 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
             for k in range(count)]
     units_read = _units(read, _texts(units))
     return [
-        _record(columns, units_read, _texts(units), axis,
+        _record(columns, units_read, _texts(units), flown, axis,
                 WHERE if count == 1 else f'experiment {k + 1}',
                 *(of(part, k) if isinstance(part, list) and len(part) == count else part
                   for part in (train, validate)))
@@ -459,8 +463,8 @@ def _reach(read: Sequence[_Columns], factor: float, offset: float) -> tuple[floa
 # columns → record
 
 
-def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str, source: str,
-            train: Any, validate: Any) -> Record:
+def _record(series: _Columns, units: Units, texts: Mapping[str, Any], gains: Mapping[str, float],
+            axis: str, source: str, train: Any, validate: Any) -> Record:
     index = AXES.index(axis)
     y_moves = series.y is not None and units.rate == f'{units.motion}/s' and \
         isinstance(texts.get('y'), str) and written(texts['y']) in MOTIONS
@@ -498,7 +502,7 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str,
                                         MOTIONS | {units.motion: units.per_motion})
     battery = series.signals.get('battery')
     log = ForeignLog(
-        source=source, kind='a table',
+        source=source, kind='a table', gains=gains,
         rates=None if rate is None else stream({**rates, index: units.rate_of(rate)}),
         control=stream(command, 4), axes=(axis,),
         angles=None if angle is None else stream({**angles, index: per_angle * angle}),
@@ -506,10 +510,11 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], axis: str,
         battery=None if battery is None else stream({0: _factor(
             'battery', texts.get('battery', 'V'), {'V': 1.0, 'mV': 1e-3}) * battery}, 1),
     )
-    record, _, warnings = record_of(log, dt=series.dt)
+    read = record_of(log, dt=series.dt)
     measured = np.asarray(angle if rate is None else rate)
-    record = replace(record, units=units, warnings=(
-        *record.warnings, *warnings, *_gap_warning(series.u), *_too_coarse(measured, record.dt)))
+    record = replace(read.record, units=units, warnings=(
+        *read.record.warnings, *read.warnings, *_gap_warning(series.u),
+        *_too_coarse(measured, read.record.dt)))
     start_s = next(float(each.time_s[0]) for each in (log.rates, log.angles) if each is not None)
     return split_segments(with_parts(record, series.time_s - start_s, (axis,), train, validate),
                           axes=(axis,))
@@ -535,63 +540,3 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
             'per oscillation; a model takes one step per sample and wants thirty: sample faster')
     return (text,)
-
-
-def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,
-               validate: Any) -> Record:
-    """The record with the requested segments, if any, for samples at time_s (n,), s."""
-    if train is None and validate is None:
-        return record
-    train_mask = None if train is None else _mask('train', train, time_s, last=False)
-    held_out = ~np.asarray(train_mask) if validate is None else _mask('validate', validate, time_s,
-                                                                      last=True)
-    masks = {'train': ~held_out if train_mask is None else train_mask, 'validation': held_out}
-    both = masks['train'] & masks['validation']
-    if both.any():
-        raise BadInputError(WHERE, 'train and validate overlap', f'{both.sum()} samples',
-                            'keep them apart')
-    segments = [
-        Segment(role, 'unknown', axis, 'unknown', float(time_s[a]),
-                float(time_s[b - 1]) + record.dt)
-        for role, mask in masks.items() for a, b in finite_runs(mask, (0, time_s.size))
-        for axis in axes
-    ]
-    return replace(record, segments=tuple(sorted(segments, key=lambda s: s.start_s)))
-
-
-def _mask(name: str, part: Any, time_s: FloatArray, *, last: bool) -> np.ndarray:
-    """(n,) which samples a part holds; a fraction is the first samples, or the last."""
-    n = time_s.size
-    if isinstance(part, bool | np.bool_):
-        return np.full(n, bool(part))
-    if isinstance(part, float | int | np.number):
-        if not 0.0 < part < 1.0:
-            raise BadInputError(WHERE, f'{name} as a fraction must be between 0 and 1', part)
-        count = round(float(part) * n)
-        return np.arange(n) >= n - count if last else np.arange(n) < count
-    if isinstance(part, slice):
-        out = _sliced(name, [part], n)
-    elif isinstance(part, list | tuple) and part and all(isinstance(p, slice) for p in part):
-        out = _sliced(name, part, n)
-    elif isinstance(part, tuple) and len(part) == 2:
-        out = (time_s >= float(part[0])) & (time_s < float(part[1]))
-    else:
-        out = np.array(part)
-        if out.dtype.kind != 'b':
-            raise BadInputError(WHERE, f'{name} must be a fraction, a slice, a mask or (from, to)',
-                                out.dtype)
-        if out.shape != (n,):
-            raise BadInputError(WHERE, f'{name} must be a mask as long as u',
-                                f'{out.shape} and {n}')
-    if not out.any():
-        raise BadInputError(WHERE, f'{name} holds no sample', part)
-    return out
-
-
-def _sliced(name: str, pieces: Sequence[slice], n: int) -> np.ndarray:
-    out = np.zeros(n, dtype=bool)
-    for piece in pieces:
-        if piece.step not in (None, 1):
-            raise BadInputError(WHERE, f'{name} must take every sample of its slice', piece)
-        out[piece] = True
-    return out

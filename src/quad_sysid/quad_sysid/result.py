@@ -31,10 +31,11 @@ from quad_sysid.record import Record
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from quad_sysid.arrays import Parts, Samples, Table
+    from quad_sysid.arrays import Samples, Table
     from quad_sysid.blackbox import Model
     from quad_sysid.model.effect import Effect
     from quad_sysid.own_base import Base
+    from quad_sysid.parts import Parts
     from quad_sysid.pipeline.answer import AxisAnswer
     from quad_sysid.pipeline.evaluate import Evaluation
     from quad_sysid.record import IOData
@@ -266,6 +267,7 @@ def identify(
     u: Samples | None = None, y: Samples | None = None, dt: float | Sequence[float] | None = None,
     t: Samples | None = None, angle: Samples | None = None, reference: Samples | None = None,
     signals: Mapping[str, Samples] | None = None, units: Mapping[str, str | float] | None = None,
+    gains: Mapping[str, float] | None = None,
     train: Parts | None = None, validate: Parts | None = None,
     effects: Sequence[Effect] | None = None, extra_effects: Sequence[Effect] = (),
     base: Base | None = None,
@@ -307,7 +309,7 @@ def identify(
     show, limit = _listener(progress), _halt(seconds, stop)
     names, records = _request(flights, axes, {
         'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
-        'signals': signals, 'units': units}, train, validate, show)
+        'signals': signals, 'units': units, 'gains': gains}, train, validate, show)
     missing = ''
     if designer is None:
         designer, missing = installed_designer()
@@ -366,7 +368,7 @@ def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any],
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
            show: Callable[[str], None]) -> list[Record]:
     """The records of flights, with the segments that were asked for."""
-    from quad_sysid.arrays import with_parts
+    from quad_sysid.parts import with_parts
 
     every: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
         else list(flights or ())

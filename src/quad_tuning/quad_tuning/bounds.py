@@ -244,10 +244,15 @@ def flown_gains(model: AxisModel) -> CascadeGains:
         )
     if missing:
         raise DesignRefusedError(
-            f"{model.axis}: the flight's gains are not known ({missing[0]} missing); "
-            'record /gains/active'
+            f"{model.axis}: the flight's gains are not known ({missing[0]} missing); record "
+            '/gains/active, or state those of a table (quad-sysid import --gain)'
         )
     flown = {name: model.active_gains[name] for name in names}
+    if not flown[names[0]]:
+        raise DesignRefusedError(
+            f'{model.axis}: {names[0]} is 0, so the stick commanded the rate, and a design is of '
+            'the loops of rate and angle; fly in a mode that holds the angle, or state its gain'
+        )
     check_bounds(flown, flown if of_other_firmware(model.active_gains, model.axis) else None)
     return CascadeGains.from_mapping(model.active_gains, model.axis)
 

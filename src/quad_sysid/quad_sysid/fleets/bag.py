@@ -255,7 +255,7 @@ def _read(job: Job) -> tuple[Record, Row]:
         if not _is_log(job.name):
             record = read_bag(path)
         elif log_format := format_of(path):
-            record = record_of(read_log(path, log_format))[0]
+            record = record_of(read_log(path, log_format)).record
         else:
             raise BadInputError(job.name, 'is of no known format of logs',
                                 remedy='turn it into a bag by quad-sysid import')

@@ -65,12 +65,15 @@ def add(commands: Commands) -> None:
     table.add_argument('--unit', metavar='COL=UNIT', action='append', default=[],
                        help='such as gx=deg/s, u=V, t=ms, or a factor: u=0.05; repeat. A unit in '
                        'brackets in the header is read')
+    table.add_argument('--gain', metavar='NAME=VALUE', action='append', default=[],
+                       help='a gain that flew, such as roll.rate.kp=0.07 (normalised command per '
+                       'rad/s) or roll.angle.kp=5 (1/s): a design of gains begins there; repeat')
 
 
 def _run(options: argparse.Namespace) -> int:
     from quad_sysid.imports.formats import format_of
 
-    columns = [flag(name) for name in ('axis', *OPTIONS, 'unit', 'sample_rate')
+    columns = [flag(name) for name in ('axis', *OPTIONS, 'unit', 'sample_rate', 'gain')
                if getattr(options, name)]
     columns += ['--frame'] if options.frame != 'auto' else []
     log_format = format_of(options.file)
@@ -116,6 +119,7 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
     from quad_sysid.imports.columns import ColumnOptions, parse_units, read_columns
     from quad_sysid.imports.formats import check_single
     from quad_sysid.imports.guess import described, lines
+    from quad_sysid.imports.stated_gains import parse_gains
     from quad_sysid.imports.table import is_ours, open_table
 
     check_single(options.file, 'a table', options.log)
@@ -139,6 +143,7 @@ def _table(options: argparse.Namespace, columns: list[str]) -> int:
              if (value := getattr(options, name)) and (option.per_axis or option.several)}
     return _write(read_columns(ColumnOptions(
         file=options.file, axes=_axes(options, names.get('rate') or names.get('angle', ())),
+        gains=parse_gains(options.gain),
         time=options.time, thrust=options.thrust, mixer=options.mixer or 'x',
         battery=options.battery, units=parse_units(options.unit), frame=options.frame,
         sample_rate_hz=options.sample_rate, messages=options.messages, **names,

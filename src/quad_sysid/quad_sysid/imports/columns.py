@@ -18,9 +18,10 @@ from quad_sysid.errors import BadInputError
 from quad_sysid.imports import plausible
 from quad_sysid.imports.clock import Stream, cycles, draw
 from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
-from quad_sysid.imports.log import ForeignLog, Mapped
+from quad_sysid.imports.log import NO_GAINS, ForeignLog, Mapped
 from quad_sysid.imports.mixers import MIRROR, mixer_of
 from quad_sysid.imports.plausible import Column
+from quad_sysid.imports.stated_gains import stated
 from quad_sysid.imports.table import Table, open_table
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND
 from quad_sysid.imports.units import (
@@ -70,6 +71,8 @@ class ColumnOptions:
     """`flu`, `frd`, or `auto`: as the acceleration shows."""
     messages: Path | None = None
     """A folder of .msg files, for a bag without definitions."""
+    gains: Mapping[str, Any] = field(default_factory=dict)
+    """The gains that flew, by the names of /gains/active, as numbers or text."""
 
     def called(self, aliases: Mapping[str, str]) -> ColumnOptions:
         """The options with the table's own names of its columns."""
@@ -109,6 +112,7 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
     table = opened or open_table(options.file, names, options.messages)
     options = options.called(table.aliases)
     roles = _roles(options)
+    gains = stated(options.gains, options.axes, f'{options.file}, --gain')
     if opened is not None:
         table = replace(table, columns={name: table.columns[name] for name in roles})
     options = replace(options, units=_shared(options))
@@ -145,7 +149,8 @@ def read_columns(options: ColumnOptions, opened: Table | None = None) -> Foreign
         velocity=streams['velocity'], position=streams['position'],
         crafts=() if not options.motors or options.mixer == 'auto'
         else (mixer_of(options.mixer, options.motors),),
-        battery=streams['battery'], mapped=_mapped(options, units, streams), checks=tuple(remarks),
+        battery=streams['battery'], mapped=_mapped(options, units, streams, gains), gains=gains,
+        missing=() if gains else (f'{NO_GAINS}; --gain states them',), checks=tuple(remarks),
         clock=tuple(notes), reversing={
             axis: _column(options, units, name, table.columns[name]).advise(units[name].reversed)
             for axis, name in zip(options.axes, options.control, strict=bool(options.control))
@@ -320,8 +325,9 @@ def _wrench(
 
 def _mapped(
     options: ColumnOptions, units: Mapping[str, Unit], streams: Mapping[str, Stream | None],
+    gains: Mapping[str, float],
 ) -> tuple[Mapped, ...]:
-    """The use of each column."""
+    """The use of each column, and the stated gains."""
     out = []
     entries = [(option, k, name) for option in OPTIONS
                for k, name in enumerate(options.names(option))]
@@ -338,6 +344,9 @@ def _mapped(
     other_axes = [axis for axis in AXES if axis not in options.axes]
     if other_axes:
         out.append(Mapped(', '.join(other_axes), '-', '0', 'not measured'))
+    if gains:
+        out.append(Mapped('--gain', '-', '/gains/active', ', '.join(
+            f'{name} {value:.6g}' for name, value in gains.items())))
     return tuple(out)
 
 

@@ -18,7 +18,7 @@ from quad_sysid.bags import read_bag
 from quad_sysid.bags.writer import BagOptions, write_bag
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
-from quad_sysid.imports.clock import Cycles, Stream, cycles
+from quad_sysid.imports.clock import Cycles, Stream
 from quad_sysid.imports.formats import format_of, read_log
 from quad_sysid.imports.log import TOPICS, ForeignLog
 from quad_sysid.imports.to_bag import record_of
@@ -49,16 +49,16 @@ def joined(bag: Path, log: Path, offset_s: float, out: Path) -> Path:
     if cut.rates is None or len(cut.rates.time_s) < 2 or np.ptp(cut.rates.time_s) < MIN_S:
         raise BadInputError(str(log), 'is of another flight than the bag', str(bag),
                             'the newest log was fetched; take the right one from the card')
-    record, repairs, warnings = record_of(cut)
-    grid = cycles(cut.rates, cut.source)
-    record = replace(record, t0_ns=round(1e9 * (float(grid.times[0]) + offset_s)))
+    laid = record_of(cut)
+    grid = laid.grid
+    record = replace(laid.record, t0_ns=round(1e9 * (float(grid.times[0]) + offset_s)))
     live = replace(live, gains=tuple(
         replace(g, time_s=grid.seconds(g.time_s + begin_s)) for g in live.gains))
     if not read.experiments:
         record = _with_schedule(record, live, grid, begin_s)
     record = _in_our_unit(record, live, grid.seconds(begin_s), grid.seconds(end_s - offset_s))
     notes = {'log of the autopilot': log.name, 'bag of the flight': bag.name,
-             'import clock': '; '.join(repairs), 'import check': '; '.join(warnings)}
+             'import clock': '; '.join(laid.notes), 'import check': '; '.join(laid.warnings)}
     return write_bag(record, out, BagOptions(notes=notes))
 
 

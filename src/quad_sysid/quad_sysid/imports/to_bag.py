@@ -76,18 +76,30 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
     if out.exists():
         raise BadInputError(str(out), 'exists and is not overwritten',
                             remedy='choose another --out')
-    record, repairs, warnings = record_of(log, grid_hz)
+    read = record_of(log, grid_hz)
     notes = {
         'import': f'{Path(log.source).name}, {log.kind}: ' + '; '.join(
             f'{m.source} [{m.unit}] as {m.topic}' + (f' ({m.how})' if m.how else '')
             for m in log.mapped
         ),
-        'import clock': '; '.join(repairs),
+        'import clock': '; '.join(read.notes),
     }
-    if log.checks or warnings:
-        notes['import check'] = '; '.join([*log.checks, *warnings])
-    return Imported(write_bag(record, out, BagOptions(notes=notes)), log, record, tuple(repairs),
-                    (*log.checks, *warnings))
+    warnings = (*log.checks, *read.warnings)
+    if warnings:
+        notes['import check'] = '; '.join(warnings)
+    return Imported(write_bag(read.record, out, BagOptions(notes=notes)), log, read.record,
+                    tuple(read.notes), warnings)
+
+
+@dataclass(frozen=True)
+class OnGrid:
+    """A log on the cycles of its rates."""
+
+    record: Record
+    grid: Cycles
+    notes: list[str]
+    """Repairs of times, and findings on motors."""
+    warnings: list[str]
 
 
 def gains_of(
@@ -113,8 +125,8 @@ def uneven(notes: Sequence[str]) -> list[str]:
 
 def record_of(
     log: ForeignLog, grid_hz: float | None = None, dt: float | None = None
-) -> tuple[Record, list[str], list[str]]:
-    """The record of a log, notes on repairs and findings, and warnings.
+) -> OnGrid:
+    """The record of a log.
 
     `grid_hz` and `dt` as in clock.cycles. Raises BadInputError where the log holds too little.
     """
@@ -177,7 +189,7 @@ def record_of(
         record = with_stretches(record, log.axes)
         experiment = stretches_summary(record)
     notes += [experiment] if experiment else []
-    return record, notes, [*warnings, *([] if held else _gaps(record, log))]
+    return OnGrid(record, grid, notes, [*warnings, *([] if held else _gaps(record, log))])
 
 
 def _once(log: ForeignLog) -> tuple[ForeignLog, list[str]]:

@@ -325,9 +325,9 @@ def content(path: str | Path, log: int = 1, messages: Path | None = None) -> Con
         check_single(Path(path), 'a bag', log)
     else:
         read = read_any(Path(path), log, messages)
-        record, notes, doubts_of_it = record_of(read)
-        record = replace(record, warnings=(
-            *read.checks, *doubts_of_it, *uneven(notes), *record.warnings))
+        laid = record_of(read)
+        record = replace(laid.record, warnings=(
+            *read.checks, *laid.warnings, *uneven(laid.notes), *laid.record.warnings))
     named = any(s.role in ('train', 'validation') for s in record.segments)
     with threadpool_limits(limits=1):
         return of_record(split_segments(record), listing, split=not named)

@@ -137,14 +137,15 @@ def of_log(log: ForeignLog) -> Flown:
     if base is None or len(base.time_s) < 2:
         raise BadInputError(log.source, 'holds no body rates and no angles',
                             remedy='log the gyro; quad-sysid import lists what the log holds')
-    laid = cycles(base, log.source)
     try:
-        record, notes, warnings = record_of(log)
+        read = record_of(log)
     except BadInputError as error:
+        laid = cycles(base, log.source)
         flown = _without_commands(log, laid, str(error))
     else:
-        flown = replace(of_record(record, log.kind),
-                        warnings=(*log.checks, *warnings, *uneven(notes)))
+        laid = read.grid
+        flown = replace(of_record(read.record, log.kind),
+                        warnings=(*log.checks, *read.warnings, *uneven(read.notes)))
     flown = replace(flown, loop_s=log.loop_s)
     times = laid.times
     if log.d_term is not None and len(times) == flown.n:
