@@ -179,13 +179,18 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
     assert f'explains {effect["explains_pct"]:.0f} % of what the base misses' in sentence
     assert 'resampled flights' in sentence
     assert causes({**tree, 'effects': []}) == ''
-    for name, parameter, said in (
-            ('battery_sag', {'name': 'exponent', 'value': 2.11, 'unit': '1'}, '(exponent 2.11)'),
-            ('step_event', {'name': 'time', 'value': 18.0, 'unit': 's'}, 'in flight at 18 s')):
-        other = {**effect, 'name': name, 'parameters': [parameter]}
+    for kind, name, parameters, said in (
+            ('named', 'battery_sag', [('exponent', 2.11, '1')], '(exponent 2.11)'),
+            ('named', 'step_event', [('time', 18.0, 's')], 'in flight at 18 s'),
+            ('named', 'resonance', [('frequency', 6.0, 'Hz')], 'lightly damped mode of 6 Hz'),
+            ('named', 'periodic_disturbance', [('amplitude', 3.0, 'rad/s²'), (
+                'frequency', 6.0, 'Hz')], 'disturbance of 3 rad/s² at 6 Hz'),
+            ('mode', 'mode:second_order', [('frequency', 6.0, 'Hz')], 'controller) at 6 Hz')):
+        other = {**effect, 'name': name, 'kind': kind, 'parameters': [
+            dict(zip(('name', 'value', 'unit'), p, strict=True)) for p in parameters]}
         assert f'{said} explains' in causes({**tree, 'effects': [other]})
-    motors = {**effect, 'name': 'mode:second_order', 'kind': 'mode'}
-    assert 'speed controller explain ' in causes({**tree, 'effects': [motors]})
+    motors = {**effect, 'name': 'mode:lead', 'kind': 'mode'}
+    assert 'otors that overshoot explain ' in causes({**tree, 'effects': [motors]})
     assert tables.effects(tree).rows[0][-1] == f'-{effect["error_reduction_pct"]:.0f} %'
     first, *finer = tables.explanation(tree).rows
     assert first[1] == 'coulomb_friction'

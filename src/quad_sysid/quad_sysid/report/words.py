@@ -42,7 +42,7 @@ PLAIN = {
     UNLISTED: 'a cause that was not compared',
     'mode:second_lag': 'a second lag of the motors', 'mode:lead': 'motors that overshoot',
     'mode:rotor_lead': "a lead by the rotors' own reaction",
-    'mode:second_order': 'motors under a speed controller',
+    'mode:second_order': 'a damped mode (as of motors under a speed controller)',
     'mode:slow_state': 'a spring on a damper, or a load that relaxes',
     'mode:swinging': 'something that swings', 'mode:hysteresis': 'friction that builds up',
     'mode:loose_load': 'a load with play',
@@ -270,6 +270,9 @@ def causes(tree: Tree) -> str:
             name, value = size['name'].replace('_', ' '), f'{size["value"]:.3g}'
             of = f' ({name} {value})' if size['unit'] == '1' else \
                 f' {"at" if name == "time" else "of"} {value} {size["unit"]}'
+        for p in effect['parameters']:
+            if p['name'] == 'frequency' and not (of and p is size):
+                of += f' at {p["value"]:.3g} Hz'
         words = named(effect)
         verb = 'explain' if words.startswith('motor') else 'explains'  # the motors' own are plural
         parts.append(f'{words}{of} {verb} {effect["explains_pct"]:.0f} %')
