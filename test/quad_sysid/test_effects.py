@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from unittest import mock
@@ -807,8 +808,15 @@ def test_a_motor_that_loses_thrust_late_in_the_training_is_an_event():
     for label in ('step_event/torque', 'shape:gain:time/smooth'):
         score = next(one for one in search.scores(fitted, all_candidates=True)
                      if one.part.effect.label == label)
-        fitted = search.store(extended(told.problem, fitted, score)).fit
+        # a copy, as another process returns it
+        fitted = search.store(deepcopy(extended(told.problem, fitted, score))).fit
     assert search.best().fit is fitted
+    # beside the first alone it had ended at a lower maximum
+    alone = frozenset({'step_event/torque'})
+    reached = search.known[alone].score
+    search.known[alone] = replace(search.known[alone], score=reached - 50.0)
+    assert not search.spare()
+    assert search.known[alone].score == pytest.approx(reached, abs=1.0)
     assert search.exchange()
     assert {*search.best().fit.structure.labels} == {'step_event/torque', 'step_event/gain'}
 

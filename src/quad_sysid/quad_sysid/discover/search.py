@@ -207,9 +207,11 @@ class _Search:
         self.base = Scored(base, base.evidence)
         self.known: dict[frozenset[str], Scored] = {frozenset(): self.base}
         self.promising: set[str] = set()
+        self.built: set[frozenset[str]] = set()
+        """The structures beside which one more effect was sought."""
 
     def run(self) -> None:
-        """Add one effect at a time, then leave out or replace what was made needless."""
+        """Add one effect at a time, then leave out, replace and add until nothing is better."""
         if not self.halt():
             for fit in fits_from_priors(self.problem, self.parts, self.base.fit):
                 self.store(fit)
@@ -223,7 +225,7 @@ class _Search:
             beam[0] = self.store(both_orders(self.problem, beam[0].fit))
             if beam[0].score <= before.score or self.improves_little(before.fit, beam[0].fit):
                 break
-        while not self.halt() and (self.spare() or self.exchange()):
+        while not self.halt() and (self.spare() or self.exchange() or self.add()):
             pass
 
     def build_on(self, parents: Sequence[Scored]) -> list[Scored]:
@@ -235,6 +237,7 @@ class _Search:
         best = parents[0].score
         ahead: list[tuple[float, Fit, Score]] = []
         for parent in parents:
+            self.built.add(frozenset(parent.fit.structure.labels))
             ahead += [(parent.score + self.gain(candidate) - best, parent.fit, candidate)
                       for candidate in self.scores(
                           parent.fit, all_candidates=parent is parents[0])]
@@ -255,10 +258,19 @@ class _Search:
             if smaller is None or smaller is self.base:
                 continue
             scores = self.scores(smaller.fit, all_candidates=True)
-            own = [self.gain(score) for score in scores if score.part.effect is part.effect]
-            ahead += [(self.gain(score) - own[0], smaller.fit, score)
-                      for score in scores if own and score.part.effect is not part.effect]
+            gains = {score.part.effect.label: self.gain(score) for score in scores}
+            own = gains.get(part.effect.label)
+            ahead += [(self.gain(score) - own, smaller.fit, score) for score in scores
+                      if own is not None and score.part.effect.label != part.effect.label]
         self.fit_promising(ahead)
+        return self.best() is not best
+
+    def add(self) -> bool:
+        """Build on the best structure, if an exchange has led there; whether that was better."""
+        best = self.best()
+        labels = frozenset(best.fit.structure.labels)
+        if len(labels) < MOST_EFFECTS and labels not in self.built:
+            self.build_on([best])
         return self.best() is not best
 
     def gain(self, candidate: Score) -> float:
@@ -332,13 +344,14 @@ class _Search:
         return change < max(NEGLIGIBLE * error, little(motion, float(np.mean(full**2))))
 
     def spare(self) -> bool:
-        """Leave out each effect of the best structure in turn; whether that was better."""
+        """Leave out each effect of the best structure in turn; whether that was better.
+
+        What remains may have been fitted before, to a lower maximum than the best one leads to.
+        """
         best = self.best()
-        structure = best.fit.structure
-        new = [index for index in range(len(structure.parts))
-               if frozenset(structure.minus(index).labels) not in self.known]
         for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
-                                         tolerance_nats=ROUGH_NATS) for index in new]):
+                                         tolerance_nats=ROUGH_NATS)
+                                 for index in range(len(best.fit.structure.parts))]):
             if fit is not None:
                 self.store(fit)
         return self.best() is not best
