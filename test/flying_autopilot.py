@@ -29,7 +29,7 @@ from quad_bridge.virtual.cycle import NORMALS_PER_STEP, move_cycle
 from quad_bridge.virtual.line import Line
 from quad_bridge.virtual.physics import POSITION, QUAT, RATES, VELOCITY
 from quad_bridge.virtual.profile import load_profile
-from quad_bridge.wire.axes import quaternion
+from quad_bridge.wire.axes import angles_of, quaternion
 
 DT = 0.004
 DO_SET_MODE, REQUEST_MESSAGE, DENIED = 176, 512, 2
@@ -90,12 +90,6 @@ ARDUPILOT_LOOPS = [
     for a in ('RLL', 'PIT', 'YAW')
 ]  # fmt: skip
 """The parameters of each axis, in the order in which the loops name them."""
-
-
-def turned(w, x, y, z):
-    return (math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-            math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x)))),
-            math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 class Low:
@@ -185,7 +179,7 @@ class Flying(Autopilot):
     def turn(self):
         """Note the state, and roll, pitch, yaw, FRD in NED."""
         self.state = self.craft.machine.state.tolist()
-        roll, pitch, yaw = turned(*self.state[QUAT : QUAT + 4])
+        roll, pitch, yaw = angles_of(self.state[QUAT : QUAT + 4])
         self.angles = [roll, -pitch, math.remainder(0.5 * math.pi - yaw, math.tau)]
 
     def draw(self):
@@ -232,7 +226,7 @@ class Flying(Autopilot):
                 self.mode = self.pilot_mode
                 return
             if self.target.type_mask & 7 == 7:
-                self.att_sp = turned(*self.target.q)
+                self.att_sp = angles_of(self.target.q)
             else:
                 self.rate_only = (self.target.body_roll_rate, self.target.body_pitch_rate,
                                   self.target.body_yaw_rate)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numba
 import numpy as np
+from scipy.signal import max_len_seq
 
 from quad_sysid.blackbox.model import Model, polynomial_model
 from quad_sysid.contract import FloatArray
@@ -63,13 +64,9 @@ def reference_study() -> Study:
 
 def prbs_bits(bits: int, state: int) -> FloatArray:
     """One period, 2^bits - 1 entries of ±1, of the maximal shift register from `state`."""
-    taps = {5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}[bits]
-    out = np.empty(2**bits - 1)
-    for i in range(out.size):
-        out[i] = 1.0 if state & 1 else -1.0
-        feedback = (state ^ (state >> (bits - taps))) & 1
-        state = (state >> 1) | (feedback << (bits - 1))
-    return out
+    tap = {5: 2, 6: 1, 7: 1, 9: 4, 10: 3, 11: 2}[bits]
+    begin = [state >> k & 1 for k in range(bits)]
+    return 2.0 * max_len_seq(bits, begin, taps=[tap])[0] - 1.0
 
 
 def run_loop(

@@ -569,7 +569,7 @@ def test_px4_whose_height_comes_from_elsewhere_flies_at_its_hover_throttle(flyin
     assert abs(aircraft.craft.machine.state[POSITION + 2]) < 1.0
     if begins_with == 'position':  # what it followed until it noticed: attitude, level
         assert aircraft.target.type_mask & 7 == 7
-        assert flown.turned(*aircraft.target.q)[:2] == pytest.approx((0.0, 0.0), abs=1e-6)
+        assert angles_of(aircraft.target.q)[:2] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 NOW_S = 100.0

@@ -29,9 +29,9 @@ def read(line):
 class Started(SerialPort):
     """A port that notes what it hears and how often it was opened."""
 
-    def __init__(self, path, **named):
+    def __init__(self, path):
         self.data, self.openings = b'', 0
-        super().__init__(str(path), 921600, self.take, self.count, **named)
+        super().__init__(str(path), 921600, self.take, self.count)
 
     def take(self, data):
         self.data += data
@@ -49,11 +49,12 @@ class Started(SerialPort):
 
 
 @pytest.fixture
-def start():
+def start(monkeypatch):
+    monkeypatch.setattr(serial_port, 'REOPEN_S', 0.02)
     ports = []
 
     def make(path, *states):
-        ports.append(Started(path, reopen_s=0.02))
+        ports.append(Started(path))
         ports[-1].start()
         ports[-1].reaches(*states or [PortState.OPEN])
         return ports[-1]

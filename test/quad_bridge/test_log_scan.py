@@ -179,15 +179,11 @@ def flipped(data, place, mask):
     return data
 
 
-def chunk(data, k):
-    return positions(data, CHUNK)[k]
-
-
 @pytest.mark.parametrize('closed', [True, False])
 def test_a_damaged_chunk_is_told_and_never_complete(tmp_path, sound, closed):
     data, ledger = sound['none', closed]
     bag = tmp_path / 'bag.mcap'
-    begin, end = chunk(data, 4)
+    begin, end = positions(data, CHUNK)[4]
     bag.write_bytes(data[: begin + 60] + bytes(200) + data[begin + 260 :])
     result = recover(bag)
     said = '\n'.join(result.lines())

@@ -26,10 +26,6 @@ def inputs(cycles: int, aircraft: Aircraft, armed: bool = True) -> np.ndarray:
     return given
 
 
-def spinning(momentum):
-    return GyroscopicCoupling(enabled=True, rotor_scale=0.0, extra_momentum_nm_s=momentum)
-
-
 @pytest.mark.parametrize(
     ('rates', 'spin', 'cycles'), [((3.0, -2.0, 4.0), 0.0, 1250), ((1.0, 0.5, 0.2), 0.05, 750)]
 )
@@ -39,7 +35,8 @@ def test_a_torque_free_body_keeps_its_angular_momentum_and_energy_while_it_tumbl
     """With the spinning part's momentum, which does no work."""
     effects = Effects(inertia_coupling=InertiaCoupling(enabled=True))
     if spin:
-        effects = replace(effects, gyroscopic_coupling=spinning(spin))
+        effects = replace(effects, gyroscopic_coupling=GyroscopicCoupling(
+            enabled=True, rotor_scale=0.0, extra_momentum_nm_s=spin))
     profile = quiet_profile(effects, mount='hover')
     aircraft = coasting(profile, rates)
     inertia, extra = np.array(profile.airframe.inertia_kg_m2), np.array([0.0, 0.0, spin])

@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from flown_axis import SHORT, Axis, fly
@@ -80,6 +81,14 @@ def true_model(plain_answer: AxisAnswer) -> AxisModel:
     truth = {'gain': 450.0, 'lag': 0.042, 'delay': 0.008, 'damping': 0.4, 'bias': 0.2}
     base = tuple(replace(p, value=truth[p.name]) for p in model.base)
     return replace(model, base=base, plain=())
+
+
+@pytest.fixture(scope='session')
+def study() -> Any:
+    """The reference study of known_plants.py, whose loop is compiled."""
+    from known_plants import reference_study
+
+    return reference_study()
 
 
 @pytest.fixture(scope='session')

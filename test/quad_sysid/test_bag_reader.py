@@ -28,14 +28,14 @@ N = 1000
 STEP = 4_000_000
 
 
-def make_record(n: int = N, dt: float = 0.004) -> Record:
+def make_record(n: int = N) -> Record:
     rng = np.random.default_rng(7)
     wrench = np.column_stack((np.full(n, 0.5), 0.3 * rng.standard_normal((n, 3))))
     motors, k = motors_from_wrench(wrench), np.arange(n)
     noise = {name: rng.standard_normal((n, 3)) for name in (
         'rates', 'acceleration', 'attitude_setpoint', 'rate_setpoint', 'excitation')}
     return Record(
-        source='made', dt=dt, t0_ns=T0, control=control_from_motors(motors),
+        source='made', dt=0.004, t0_ns=T0, control=control_from_motors(motors),
         angles=np.column_stack((0.4 * np.sin(k / 50), 0.3 * np.cos(k / 70),
                                 np.linspace(0.0, 9.0, n))),
         motors=motors, wrench=wrench, battery_v=np.linspace(12.0, 11.0, n),
@@ -50,8 +50,8 @@ def make_record(n: int = N, dt: float = 0.004) -> Record:
     )
 
 
-def imu_stream(stamps: np.ndarray, seed: int = 3) -> Stamped:
-    values = np.random.default_rng(seed).standard_normal((len(stamps), 13))
+def imu_stream(stamps: np.ndarray) -> Stamped:
+    values = np.random.default_rng(3).standard_normal((len(stamps), 13))
     values[:, [4, 11, 12]] = 0.0
     return Stamped(stamps.astype(np.int64), values)
 

@@ -14,18 +14,8 @@ from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.record import IOData, Record
 
 
-@pytest.fixture(scope='module')
-def study() -> Study:
-    return reference_study()
-
-
 def flight(study: Study, seed: int) -> IOData:
     return study.record(np.random.default_rng(seed))
-
-
-def plant_of(study: Study) -> np.ndarray:
-    """The true b3, b4, f1, f2."""
-    return np.concatenate((study.truth.B[3:], study.truth.F[1:]))
 
 
 def distance(model: qs.Model, truth: qs.Model) -> float:
@@ -148,7 +138,8 @@ def test_indirect_finds_the_plant_without_the_recorded_command(study, refusal, s
     model = indirect(IOData(noise, z.y, z.dt, r=z.r, segments=segments), 2, 2, 3, controller)
     assert (model.approach, model.converged) == ('indirect', True)
     assert qs.compare(validation, model)[0] > qs.compare(validation, study.truth)[0] - 0.1
-    assert np.all(np.abs(model.parameters - plant_of(study)) < 4 * model.std)
+    true = [*study.truth.B[3:], *study.truth.F[1:]]
+    assert np.all(np.abs(model.parameters - true) < 4 * model.std)
     assert 'reference r' in refusal(indirect, IOData(z.u, z.y, z.dt), 2, 2, 3, controller)
     short = replace(z, segments=[(k, k + 14) for k in range(0, 3000, 14)])
     assert 'too few samples' in refusal(indirect, short, 2, 2, 3, controller, start=model)

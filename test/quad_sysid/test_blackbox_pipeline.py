@@ -15,7 +15,7 @@ from quad_sysid.effects import EFFECTS
 from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, GainProposal
+from quad_sysid.model import GainProposal
 from quad_sysid.model.data import axis_data
 from quad_sysid.pipeline import identify as pipeline
 from quad_sysid.pipeline import step_b
@@ -68,10 +68,6 @@ def flight(
         control=np.column_stack((np.full(n, 0.5), run.control + trim, still)), excitation=applied,
         segments=tuple(Segment(r, s, 'roll', injection, a, b) for r, s, a, b in SPANS),
         gains=(GainChange(0.0, gains.to_mapping('roll', constants=True)),))
-
-
-def shows_its_band(model: AxisModel) -> GainProposal:
-    return GainProposal(None, str(model.trusted_band_rad_s))
 
 
 @pytest.fixture(scope='module')
@@ -157,8 +153,9 @@ def test_gains_are_designed_in_the_band_that_the_report_trusts(roll):
     fits = mock.Mock(surest=vague)
     with mock.patch.multiple(pipeline, findings_of=lambda *_: roll.findings,
                              fit_models=lambda _: fits, _compared=lambda answer, *_: answer):
-        answer = pipeline.identify_axis(
-            [flight()], 'roll', Options(effects=(), designer=shows_its_band), lambda _: None)
+        answer = pipeline.identify_axis([flight()], 'roll', Options(
+            effects=(), designer=lambda model: GainProposal(None, str(model.trusted_band_rad_s)),
+        ), lambda _: None)
     band = answer.model.trusted_band_rad_s
     assert answer.proposal.refused_because == str(band)
     assert low <= band[0] < band[1] <= high

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_plants import Study, prbs_bits, reference_study
+from known_plants import Study, prbs_bits
 from scipy import special
 from scipy.signal import lfilter
 
@@ -14,11 +14,6 @@ from quad_sysid.blackbox import horizon_errors, innovation_test, polynomial_mode
 from quad_sysid.blackbox.filters import filter_signal
 from quad_sysid.pipeline.held_out import residual
 from quad_sysid.record import IOData
-
-
-@pytest.fixture(scope='module')
-def study() -> Study:
-    return reference_study()
 
 
 @pytest.fixture(scope='module')

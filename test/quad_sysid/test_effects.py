@@ -103,9 +103,9 @@ def in_steps(step: float, level: float, hysteresis: float = 0.0) -> Changes:
     return changes
 
 
-def stateful(law: Callable[[float, float], float], begin: float = 0.0) -> Callable[[float], float]:
+def stateful(law: Callable[[float, float], float]) -> Callable[[float], float]:
     """A law of its own last value and what comes in."""
-    state = [begin]
+    state = [0.0]
 
     def following(value: float) -> float:
         state[0] = law(state[0], value)

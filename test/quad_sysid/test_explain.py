@@ -1,7 +1,5 @@
 """The ladder to the reference, what comes again, and what the held-out data confirm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

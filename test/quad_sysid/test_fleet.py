@@ -1,7 +1,5 @@
 """A fleet loses nothing: bad bags, dead processes, dead workers; a second call does the rest."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -4,8 +4,6 @@ The simulated fleet of 30 aircraft x 10 flights is one of rows: each parameter h
 own value, what the day adds, and an error whose size its standard error tells.
 """
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -4,8 +4,6 @@ Known plant, seeded noise. A parameter must lie within 4 of its own standard err
 stated percentage of the truth. What is missing from the base is the matter of test_effects.py.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from unittest import mock

@@ -42,9 +42,9 @@ QUIET = np.array([1.0, 1.0, 0.3, 0.1])
 NO_GAINS = CascadeGains(0.0, 0.0, 0.0, 0.0)
 
 
-def flight_of_commands(seed: int = 3, gyro: float | None = 40.0) -> AxisData:
+def flight_of_commands() -> AxisData:
     """Everything moves; the command changes every few cycles. The rate is still to come."""
-    rng, t = np.random.default_rng(seed), DT * np.arange(N)
+    rng, t = np.random.default_rng(3), DT * np.arange(N)
     held = np.repeat(rng.uniform(-0.08, 0.08, N // 10), 10)
     control = np.stack([0.5 + 0.05 * np.sin(2.0 * t), held + 0.02 * np.sin(9.0 * t),
                         0.05 * np.sin(4.0 * t), 0.04 * np.cos(3.0 * t)], axis=1)
@@ -53,7 +53,7 @@ def flight_of_commands(seed: int = 3, gyro: float | None = 40.0) -> AxisData:
     return AxisData(
         axis='roll', dt=DT, rate=np.zeros(N), angle=0.2 * np.sin(8.0 * t), control=control,
         motors=motors_from_wrench(control), other_rates=others, other_angles=0.5 * others,
-        battery_v=12.0 - 0.3 * t, gyro_filter_hz=gyro, stretches=((0, N),), train=((0, N),),
+        battery_v=12.0 - 0.3 * t, gyro_filter_hz=40.0, stretches=((0, N),), train=((0, N),),
         validation=(),
     )
 

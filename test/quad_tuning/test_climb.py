@@ -10,7 +10,6 @@ from virtual_aircraft import without_noise
 from quad_bridge.errors import RefusedError
 from quad_bridge.gains import gate
 from quad_bridge.gains.table import DEFAULT_BOUNDS
-from quad_bridge.gains.watch import ClimbWatch
 from quad_bridge.virtual.profile import load_profile
 from quad_bridge.virtual.receiver import Event, Receiver
 from quad_bridge.virtual.simulation import Excited, fly
@@ -77,19 +76,6 @@ def test_what_the_climb_cannot_have_is_refused_in_one_line(climb):
         parameters(FIRMWARES['px4'], {'climb.rate.kp': 0.1}, {})
     with pytest.raises(BadInputError, match='a flight is designed to separate effects of these'):
         nearest({'climb': climb})
-
-
-@pytest.mark.parametrize(('predicted', 'warned'), [(1.0, True), (2.0, False)])
-def test_the_watch_of_the_climb_takes_what_the_design_predicts(predicted, warned):
-    """Vertical motion that grows threefold: within twice what a ratio of 2 allows."""
-    watch = ClimbWatch()
-    swing = 3.0 * np.sin(2.0 * np.pi * 0.3 * CYCLE_S * np.arange(5000))
-    for up in swing:
-        watch.step(9.81 + up, CYCLE_S)
-    watch.begin(predicted)
-    for up in 3.0 * swing:
-        watch.step(9.81 + up, CYCLE_S)
-    assert (watch.alarm() is not None) == warned
 
 
 def test_gains_of_an_outer_loop_are_not_sent(tmp_path):

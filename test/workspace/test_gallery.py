@@ -61,6 +61,8 @@ def test_a_flight_as_a_table(tmp_path, monkeypatch):
     assert result.verdict == 'not_searched'
     untried = {one['name']: one['because'] for one in result.report['axes']['roll']['not_tested']}
     assert untried['coulomb_friction'] == 'the search had 0 s: it was not tried'
+    (line,) = (line for line in result.answer.warnings if 'ended early' in line)
+    assert line.startswith('roll: the search had 0 s and ended early: what it names may ')
     model = result.model
     degree = model.parameters['gain']
     assert degree.unit == 'deg/s² per unit command'

@@ -94,12 +94,12 @@ NAMES = (*EVERY, *ALL_WORDS)
 """Values of an option that names axes."""
 
 
-def axes_in(words: str | Sequence[str], where: str = '--axis') -> tuple[str, ...]:
+def axes_in(words: str | Sequence[str]) -> tuple[str, ...]:
     """The axes that `roll,pitch` or `all`, or a list, names, each once; raises BadInputError."""
     names = words.split(',') if isinstance(words, str) else words
     for name in names:
         if name not in NAMES:
-            raise BadInputError(where, f'must be one of {", ".join(NAMES)}', repr(name),
+            raise BadInputError('--axis', f'must be one of {", ".join(NAMES)}', repr(name),
                                 'several stand with commas between, as in roll,pitch')
     return tuple(dict.fromkeys(axis for name in names for axis in ALL_WORDS.get(name, (name,))))
 

@@ -97,8 +97,6 @@ class SerialPort:
         on_bytes: Callable[[bytes], None],
         on_open: Callable[[], None] = lambda: None,
         on_silence: Callable[[], None] = lambda: None,
-        *,
-        reopen_s: float = REOPEN_S,
     ) -> None:
         """`path` is a device, a pattern (`/dev/ttyACM*`), a URL of pyserial or of udp.py.
 
@@ -110,7 +108,6 @@ class SerialPort:
         self._baud = baud
         self._on_bytes = on_bytes
         self._on_open, self._on_silence = on_open, on_silence
-        self._reopen_s = reopen_s
         self._port: Any = None
         self._stop = threading.Event()
         self._write_lock, self._status_lock = threading.Lock(), threading.Lock()
@@ -164,7 +161,7 @@ class SerialPort:
                 self._read_until_fault()
                 self._close()
                 self._on_silence()
-            self._stop.wait(self._reopen_s)
+            self._stop.wait(REOPEN_S)
         self._note(state=PortState.CLOSED)
 
     def _open(self) -> bool:
