@@ -28,7 +28,7 @@ from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
 from quad_sysid.app.folder import RefusedError, entries, new_file, receive
-from quad_sysid.app.jobs import JOB_FILE, Job, Queue, expected
+from quad_sysid.app.jobs import JOB_FILE, Job, Queue, expected, follow
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE
 from quad_sysid.files import UNFINISHED
@@ -320,6 +320,16 @@ def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refu
     assert process.end() in (0, 130)
 
 
+@pytest.mark.parametrize('said', ['', 'quad-sysid: a: is bad\n'])
+def test_progress_that_was_wiped_is_not_in_the_text_of_a_job(tmp_path, said):
+    terminal, command = os.pipe()
+    os.write(command, f'\r\x1b[2Kreading\r\x1b[2Kdrawing\r\x1b[2K{said}'.encode())
+    os.close(command)
+    job = Job(1, 'look', 'quad-sysid', ('look',), tmp_path)
+    follow(job, terminal)
+    assert job.text() == said
+
+
 def test_an_error_stands_on_a_line_of_its_own_after_progress(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
     assert main(['look', 'nothing_here']) == 2
@@ -519,11 +529,14 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     browser.choose('my_flight')
     browser.run("""document.getElementById('axis').value = 'roll';
         document.getElementById('train').value = '3:12';
-        document.getElementById('validate').value = '15:25';""")
+        document.getElementById('validate').value = '15:25';
+        document.getElementById('frame').hidden = false;""")  # the page of another job
     for button in ('identify', 'inspect'):  # the second waits in the queue
         browser.press(button)
     listed = "document.getElementById('jobs').innerText"
     browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
+    assert browser.run("""document.getElementById('title').innerText.endsWith('t, waiting')
+        && document.getElementById('frame').hidden""")
     browser.until("document.querySelector('[aria-label^=\"stop identify\"]')?.click() || true")
     browser.until(f"{listed}.includes('stopped')")
     browser.until(shown.format('inspect.html'))

@@ -121,7 +121,7 @@ def test_few_flights_and_equal_ones_are_no_alarm():
     assert [q.statistics for q in twice.quantities] == [
         q.statistics for q in Fleet(rows).quantities]
     assert 'copies: craft_00/0_copy of craft_00/0, craft' in ' '.join(str(twice).split())
-    assert 'Nothing is said of drift' in ' '.join(str(Fleet(rows[:3])).split())
+    assert 'Nothing is said of drift' in ' '.join(repr(Fleet(rows[:3])).split())
 
 
 @pytest.mark.parametrize('flights', [2, 3, 8])

@@ -326,7 +326,7 @@ def test_an_axis_is_measured_though_the_others_are_not(seen):
 def test_a_log_of_many_gaps_blames_the_gaps_for_what_it_does_not_show():
     asked, rate, command = flown()
     lost = np.random.default_rng(1).random(len(rate)) < 0.01
-    seen = str(look(record(asked, np.where(lost, np.nan, rate), command)))
+    seen = repr(look(record(asked, np.where(lost, np.nan, rate), command)))
     assert 'gaps come too often for a step response' in ' '.join(seen.split())
     assert 'moves too little' not in seen
 

@@ -184,6 +184,7 @@ def test_an_experiment_stays_within_its_limits_and_tells_more(true_model, refusa
     assert np.abs(design.u).max() <= 0.05
     assert design.largest_rate <= 3.0
     assert design.largest_angle <= 2.0
+    assert repr(design) == str(design)  # a notebook shows it so
     assert np.abs(model.simulate(design.u)).max() == pytest.approx(design.largest_rate)
     assert design.ranking[0][1] >= design.ranking[-1][1]
     for name, now in design.std_now.items():

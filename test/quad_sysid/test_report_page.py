@@ -10,12 +10,14 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from flown_axis import model_of
 
 from quad_sysid.effects import EFFECTS
-from quad_sysid.model import GainProposal
+from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.model import GainProposal, RungModel
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import document, plots, store, tables
-from quad_sysid.report.html import page
+from quad_sysid.report.html import model_excerpt, page
 from quad_sysid.report.words import causes, on_this_flight, reach
 from quad_sysid.whole import whole_of
 
@@ -203,6 +205,16 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
 @pytest.fixture(scope='module')
 def tree(written) -> dict:
     return json.loads((written / 'report.json').read_text())['axes']['roll']
+
+
+def test_a_models_cell_says_what_each_rung_adds_and_marks_the_answer():
+    rubs, sticks = (estimate_of('coulomb_friction', [], form) for form in ('', 'stribeck'))
+    rungs = tuple(RungModel((), (one,), None, percent, 0.1)
+                  for one, percent in ((rubs, 90.0), (sticks, 100.0)))
+    shown = model_excerpt(dataclasses.replace(model_of(rubs), rungs=rungs), {})
+    assert 'coulomb_friction: 90 %' in shown
+    assert 'coulomb_friction in another form: 100 %' in shown
+    assert shown.count('opacity:1') == 1
 
 
 def test_friction_is_seen_in_what_the_base_leaves_and_gone_when_it_is_added(tree):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -29,7 +29,7 @@ from quad_sysid.arguments import (
 from quad_sysid.axes import EVERY, axes_in
 from quad_sysid.errors import BadInputError
 from quad_sysid.report.tables import Table, wrapped
-from quad_sysid.report.words import number
+from quad_sysid.report.words import by_reason, number
 from quad_sysid.units import Units
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Comparison(tuple[tuple[Flight, tuple[Change, ...]], ...]):  # noqa: SLOT00
     reference: Flight
     """What the others are compared with."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return '\n'.join(lines(self))
 
 
@@ -258,12 +258,19 @@ def add(commands: Commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from quad_sysid.bags import read_bag
+    from quad_sysid.report.model_file import names_model
+
     if len(options.flights) < 2:
         raise BadInputError('compare', 'needs two flights or more', len(options.flights),
                             'name what is to be compared with the first')
     axes = axes_in(options.axis)
     show, effects = progress(quiet=options.quiet), candidates(options)
-    reference, *others = [flight_of(name, axes, effects, show) for name in options.flights]
+    # what cannot be read is refused before any flight is identified
+    given = [flight_of(name, axes, effects) if names_model(name) else read_bag(name)
+             for name in options.flights]
+    reference, *others = [one if isinstance(one, Flight) else flight_of(one, axes, effects, show)
+                          for one in given]
     show('')
     comparison = compare(reference, others)
     if options.json:
@@ -271,8 +278,9 @@ def _run(options: argparse.Namespace) -> int:
     elif not options.quiet:
         print(comparison)
     if not any(change.p_value is not None for _, changes in comparison for change in changes):
-        print(f'quad-sysid: {reference.source}: nothing can be compared: no parameter has an '
-              'error in both flights', file=sys.stderr)
+        why = next(chain(*(_unknown(one) for one in (reference, *others))),
+                   'no parameter has an error in both flights')
+        print(f'quad-sysid: nothing can be compared: {why}', file=sys.stderr)
         return NOT_ANSWERED
     return 0
 
@@ -298,11 +306,9 @@ def lines(comparison: Comparison) -> Iterator[str]:
         yield f'{reference.source} -> {flight.source}'
         head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
         yield from Table(head, [*_rows(changes)], range(3, 8)).text()
-        for compared in (reference, flight):
-            for axis, reason in compared.reasons.items():
-                if axis in reference.parameters or axis in flight.parameters:
-                    yield from wrapped(f'{compared.source}, {axis}: no model ({reason})', '    ',
-                                       '  ')
+        either = {*reference.parameters, *flight.parameters}
+        for line in chain(*(_unknown(one, either) for one in (reference, flight))):
+            yield from wrapped(line, '    ', '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         one_sided = [c for c in changes if (c.reference is None) != (c.value is None)]
         alone = [f'{c.axis} {c.name}' for c in one_sided if '.' in c.name]
@@ -321,6 +327,12 @@ def lines(comparison: Comparison) -> Iterator[str]:
                     'effect is in one model alone: compare with --no-effects as well', '  ')
         yield ''
     yield 'error: standard error of the change; chance: of one as large if nothing changed'
+
+
+def _unknown(flight: Flight, axes: Collection[str] = tuple(EVERY)) -> list[str]:
+    """Which of these axes have no model, and why, in one line; none where all have one."""
+    reasons = {axis: reason for axis, reason in flight.reasons.items() if axis in axes}
+    return [f'{flight.source}: no model of {by_reason(reasons)}'] if reasons else []
 
 
 def _rows(changes: Sequence[Change]) -> Iterator[list[str]]:

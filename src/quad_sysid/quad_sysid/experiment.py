@@ -65,7 +65,7 @@ class Experiment:
     """Every candidate and its criterion, best first: nats of information (D), or the root mean
     square of the relative standard errors (A)."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         lines = [f'{self.name}, amplitude {self.amplitude:.3g}, {self.u.size * self.dt:g} s']
         for name, now in self.std_now.items():
             std_before = 'unknown' if now is None else f'{now:.2g}'

@@ -209,7 +209,7 @@ class Queue:
                 finally:
                     os.close(terminal)
                 job.keep()
-            _follow(job, output)
+            follow(job, output)
             status = job.process.wait()
             with self._wake:
                 job.ended = time.monotonic()
@@ -255,9 +255,9 @@ def _begin(job: Job, out: int, terminal: int) -> subprocess.Popen[bytes]:
         env={**os.environ, 'COLUMNS': '200', 'OPENBLAS_NUM_THREADS': '1'})
 
 
-def _follow(job: Job, terminal: int) -> None:
-    """Read what the command says until it ends; what is no progress is an error's line."""
-    output, rest = [], ''
+def follow(job: Job, terminal: int) -> None:
+    """Read what the command says until it ends; a line that it does not wipe is an error's."""
+    last, rest = '', ''
     while True:
         try:
             raw = os.read(terminal, 4096)
@@ -266,15 +266,17 @@ def _follow(job: Job, terminal: int) -> None:
         if not raw:
             break
         rest += raw.decode('utf-8', errors='replace')
-        *lines, rest = re.split(r'[\r\n]', rest)
-        lines_now = [clean for line in lines if (clean := ESCAPES.sub('', line).strip())]
-        output += lines_now
-        latest = ESCAPES.sub('', rest).strip() or (lines_now[-1] if lines_now else '')
-        job.doing = latest or job.doing
+        *lines, rest = re.split(r'\r?\n', rest)
+        last = next(filter(None, map(_seen, reversed(lines))), last)
+        job.doing = _seen(rest) or (last if lines else '') or job.doing
     os.close(terminal)
-    last = ESCAPES.sub('', rest).strip() or (output[-1] if output else '')
-    if last:
+    if last := _seen(rest) or last:
         job.say(last)
+
+
+def _seen(line: str) -> str:
+    """What stands on a line of the terminal after all that wiped it."""
+    return ESCAPES.sub('', line).rpartition('\r')[2].strip()
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

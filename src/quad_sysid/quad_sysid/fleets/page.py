@@ -77,7 +77,7 @@ class Fleet:
         """The fleet from a day on, or grouped in another way."""
         return replace(self, since=since or self.since, group_by=group_by or self.group_by)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The text that the command prints."""
         return '\n'.join(_lines(self))
 

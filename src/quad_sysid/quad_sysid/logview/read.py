@@ -45,7 +45,7 @@ CONSEQUENCES = {
 class Look(Measured):
     """The measurements of a log, with their text, pictures and page."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The text that the command prints."""
         from quad_sysid.logview.words import lines
 

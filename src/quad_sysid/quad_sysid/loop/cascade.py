@@ -343,11 +343,16 @@ def margins(loop: ComplexArray, omega: FloatArray) -> Margins:
 
 
 def bandwidth(response: ComplexArray, omega: FloatArray) -> FloatArray:
-    """(p,) rad/s where |response| (p, f) first falls below its low-frequency value by 3 dB."""
-    level = np.abs(response) / np.abs(response[:, :1])
-    below = level < np.sqrt(0.5)
-    index = np.argmax(below, axis=1)
-    return np.where(below.any(axis=1), omega[index], np.nan)
+    """(p,) rad/s where |response| (p, f) first falls below its low-frequency value by 3 dB.
+
+    Interpolated as margins are; NaN where it never does.
+    """
+    level = np.log(np.abs(response) / np.abs(response[:, :1])) - 0.5 * np.log(0.5)
+    row, index = np.arange(len(level)), np.maximum(np.argmax(level < 0.0, axis=1), 1)
+    high, low = level[row, index - 1], level[row, index]
+    share = high / np.where(low < 0.0, high - low, np.inf)
+    interpolated = omega[index - 1] * (omega[index] / omega[index - 1]) ** share
+    return np.where(low < 0.0, interpolated, np.nan)
 
 
 def closed_loop_radius(controller: Controller, loops: Loops) -> FloatArray:

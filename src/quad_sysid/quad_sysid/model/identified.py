@@ -211,6 +211,12 @@ class AxisModel:
             (f'{effect.name}.{p.name}', p) for effect in self.effects for p in effect.parameters
         ]
 
+    def is_rung(self, rung: RungModel) -> bool:
+        """Whether a rung of the explanation has the effects of this model, in the same forms."""
+        laws, own = (sorted((effect.name, effect.variant) for effect in effects)
+                     for effects in (rung.effects, self.effects))
+        return laws == own
+
     def in_units(self, p: Parameter) -> Parameter:
         """A parameter in the units of the user's arrays; one of a user's law already is."""
         if self.units is None or (self.law and p.name.startswith(f'{self.law.name}.')):

@@ -5,7 +5,6 @@ Evaluation is the contract's (Commands, `evaluate`); a free run has no noise and
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +22,7 @@ from quad_sysid.loop.cascade import CascadeGains
 from quad_sysid.loop.from_model import usual_signals
 from quad_sysid.loop.plant import Flying
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import AxisModel, EffectEstimate, Outside
+from quad_sysid.model import AxisModel, Outside
 from quad_sysid.model.data import AxisData, Span, axis_data
 from quad_sysid.model.effect import Signals
 from quad_sysid.model.structure import coordinates
@@ -93,7 +92,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     spans = flown_spans(record, data, spans_s)
     if not data.windows(spans).count:
         raise NotInformativeError(
-            f'{record.source}: {model.axis}: no window of 0.5 s to evaluate on; '
+            f'{model.axis}: {record.source} has no window of 0.5 s to evaluate on; '
             'give a longer bag or --validate'
         )
     unseen = Unseen(data, spans)
@@ -102,7 +101,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     if hold <= MOTION * (model.noise_rms or 0.0):
         noise = f', the noise is {model.noise_rms:.2g}' if model.noise_rms else ''
         raise NotInformativeError(
-            f'{record.source}: {model.axis}: the rate does not move (it changes by {hold:.2g} '
+            f'{model.axis}: the rate does not move in {record.source} (it changes by {hold:.2g} '
             f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
         )
     before, after = stored.plain(model), stored.completed(model)
@@ -112,9 +111,6 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
     blackbox_data = blackbox_part.about_base(
         replace(data, reference=None), base['gain'], base['bias'])
     unit, factor = unit_and_factor(model.units, 'rad/s')
-
-    def laws(effects: Iterable[EffectEstimate]) -> list[tuple[str, str]]:
-        return sorted((effect.name, effect.variant) for effect in effects)
 
     def error(model: AxisModel) -> float:
         return factor * rms(unseen.errors(of_this_flight(unseen, stored.completed(model))))
@@ -134,7 +130,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
         rungs=tuple(
             (tuple(effect.name for effect in rung.effects), rung.explains_pct,
              error(replace(model, base=rung.base, effects=rung.effects, noise=rung.noise)),
-             laws(rung.effects) == laws(model.effects))
+             model.is_rung(rung))
             for rung in model.rungs
         ),
         blackbox=None if blackbox_error is None else factor * blackbox_error,

@@ -79,9 +79,9 @@ def excerpt(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer], text: 
 
 def model_excerpt(model: AxisModel, parameters: Mapping[str, Parameter]) -> str:
     """A model in a notebook: its ladder, and the `parameters` passed."""
-    rungs = [(' and '.join(e.name for e in rung.effects),
-              {'explains_pct': rung.explains_pct, 'answer': len(rung.effects) ==
-               len(model.effects)}) for rung in model.rungs]
+    names = tables.added([[effect.name for effect in rung.effects] for rung in model.rungs])
+    rungs = [(name, {'explains_pct': rung.explains_pct, 'answer': model.is_rung(rung)})
+             for name, rung in zip(names, model.rungs, strict=True)]
     rows = [[name, words.number(p.value, 4), words.number(p.std), p.unit]
             for name, p in parameters.items()]
     table = tables.Table(['parameter', 'value', 'std. error', 'unit'], rows, (1, 2))

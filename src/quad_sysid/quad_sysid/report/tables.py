@@ -231,14 +231,12 @@ def effects(tree: Tree) -> Table:
 
 def explanation(tree: Tree) -> Table:
     """The ladder: what each rung adds, and how much of the base's miss it explains."""
-    above: list[str] = []
-    rows, answer = [], None
-    for i, rung in enumerate(tree.get('explanation', ())):
-        new = Counter(rung['effects']) - Counter(above)
-        adds = ' and '.join(new) or f'{" and ".join(rung["effects"])} in another form'
+    rows, answer, rungs = [], None, tree.get('explanation', ())
+    names = added([rung['effects'] for rung in rungs])
+    for i, (rung, adds) in enumerate(zip(rungs, names, strict=True)):
         rows.append([str(i + 1), adds, f'{rung["explains_pct"]:.0f} %',
                      number(rung['error'], 4) if rung['error'] < RUNAWAY else 'runs away'])
-        above, answer = rung['effects'], i if rung.get('answer') and tree['effects'] else answer
+        answer = i if rung.get('answer') and tree['effects'] else answer
     unit = tree['error']['unit']
     claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (
         'The rungs after the marked one are finer details and not claimed as causes.')
@@ -247,6 +245,13 @@ def explanation(tree: Tree) -> Table:
                  'the rung removes in the training; the least of slow, medium and fast motion. '
                  f'The error is of {tree["error"]["data"]} data, where the base alone '
                  f'has {number(tree["error"]["before"], 4)}. {claimed}')
+
+
+def added(rungs: Sequence[Sequence[str]]) -> list[str]:
+    """What each rung of a ladder adds to the one below, by the names of their effects."""
+    return [' and '.join(Counter(names) - Counter(below))
+            or f'{" and ".join(names)} in another form'
+            for below, names in zip([(), *rungs], rungs, strict=False)]
 
 
 def tried(tree: Tree) -> Table:
