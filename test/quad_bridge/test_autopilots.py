@@ -493,6 +493,26 @@ def test_system_id_is_left_before_its_parameters_go_back(flying, case):
     assert bool(words) == bool(sid.refusal)
 
 
+@pytest.mark.parametrize(('name', 'injection', 'signal'), [
+    ('px4', 'attitude', 'prbs'), ('ardupilot', 'attitude', 'prbs'),
+    ('ardupilot', 'control', 'chirp')])
+@pytest.mark.parametrize('flies', [True, False])
+def test_the_mode_that_the_pilot_chooses_between_two_heartbeats_stays(
+        flying, name, injection, signal, flies):
+    """With the stick that ends the excitation, or just before its mode is asked for."""
+    line = flying(name)
+    controller, chosen = line.controller, 0x6040000 if name == 'px4' else 9  # Land
+    line.excite(0.02, 0.05)  # the heartbeat of this second has come
+    line.segment(signal=signal, injection=injection, **(CHIRP if signal == 'chirp' else {}))
+    while not any(mode.flying for mode in line.aircraft._modes) if flies else (
+            signal == 'prbs' and controller.step < 1010):
+        line.excite(0.004, 0.05)
+    controller.sticks[0], controller.mode = 0.3 * flies, chosen
+    line.excite(5.0, 0.05)
+    assert controller.mode == chosen
+    assert line.aircraft.at_rest
+
+
 @pytest.mark.parametrize('wait_s', [0.0, 0.4])
 def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile(flying, wait_s):
     """While its parameters are written, and while the mode is asked for; by switch, no stick."""
