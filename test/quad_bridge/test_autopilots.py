@@ -369,6 +369,25 @@ def test_a_craft_that_did_not_describe_itself_at_first_does_so_later(tmp_path, n
     assert line.controller.heard.count('PARAM_REQUEST_READ') < 30  # for what it does not know
 
 
+def test_a_craft_that_is_described_anew_ends_a_trial_where_its_units_change(flying):
+    """And says so; under another name, or not described (a line was silent), it is the same."""
+    line, p = flying('px4'), P['px4']
+    before, kp, craft = line.controller.parameters[p], *(
+        line.updates.active['roll.rate.kp'], line.aircraft.craft)
+    line.ask(roll_rate_kp=1.4 * kp)
+    line.fly(3.0)
+    for same in (replace(craft, name='another name'), None):
+        line.aircraft.describe(same)
+        line.fly(0.5)
+        assert line.updates.state is State.WATCHING
+    line.aircraft.describe(replace(craft, motors=tuple(
+        replace(motor, x=2.0 * motor.x, y=4.0 * motor.y) for motor in craft.motors)))
+    line.fly(1.0)
+    assert line.controller.parameters[p] == before
+    assert 'described anew' in line.updates.refused
+    assert line.updates.active['roll.rate.kp'] != pytest.approx(kp, rel=0.01)
+
+
 def test_where_one_answers_late_the_others_are_waited_for_too():
     """Otherwise a FRAME_CLASS without its FRAME_TYPE would be a craft for a moment."""
     asked = Parameters(f.Heartbeat(2, 3))

@@ -61,10 +61,10 @@ class AutopilotAircraft(Aircraft):
         self.last_cycle: f.Cycle | None = None
 
     def describe(self, craft: Craft | None) -> None:
-        """Take its craft, from which the unit of its gains follows."""
-        if self.craft not in {None, craft}:
-            self.gains.restart()
-        self.craft = craft
+        """Take its craft, from which the unit of its gains follows; None says nothing of it."""
+        known, self.craft = self.craft, craft or self.craft
+        if craft is not None and known is not None and known.motors != craft.motors:
+            self.gains.convert()
 
     @property
     def number(self) -> tuple[int, int]:
