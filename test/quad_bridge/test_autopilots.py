@@ -532,6 +532,19 @@ def test_the_mode_that_the_pilot_chooses_between_two_heartbeats_stays(
     assert line.aircraft.at_rest
 
 
+def test_a_pilot_who_leaves_system_id_by_his_switch_has_ended_the_schedule(flying):
+    """The excitation node ends it where the bridge refuses; its next chirp would enter again."""
+    line = flying('ardupilot')
+    line.segment(signal='chirp', injection='control', **CHIRP)
+    line.excite(4.0, 0.05)
+    assert line.controller.mode == flown.SYSTEM_ID
+    line.controller.mode = 2  # AltHold
+    line.excite(2.0, 0.05)
+    assert 'left by the pilot' in line.connected.aircraft.cannot(Ability.EXCITE)
+    assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
+    assert line.aircraft.at_rest
+
+
 @pytest.mark.parametrize('wait_s', [0.0, 0.4])
 def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile(flying, wait_s):
     """While its parameters are written, and while the mode is asked for; by switch, no stick."""

@@ -166,8 +166,9 @@ class SystemId:
         elif self.phase is Phase.ENTERING:
             self._enter(now_s, out)
         elif self.phase is Phase.FLYING:
-            if self._flight.mode != MODE:
-                self._restore(now_s)  # it ended by itself, or the pilot has chosen another mode
+            if self._flight.mode != MODE:  # which it does not by itself, once its time is over
+                self.refusal = 'SYSTEM ID was left by the pilot or the autopilot'
+                self._restore(now_s)
             elif now_s - self._since_s > self._end_s:
                 self.end('its time is over', now_s)  # it stays in the mode, and injects no more
         elif self.phase is Phase.LEAVING:
