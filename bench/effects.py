@@ -17,13 +17,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
 import effects_judge as judge_of
 import effects_scenarios as scenarios
+import workers
 from effects_answer import answered, answered_by_command
 from effects_picture import draw as draw_pictures
 
@@ -99,7 +99,7 @@ def _answers(
     drawn: Sequence[scenarios.Scenario], jobs: int
 ) -> Iterator[dict[str, Any]]:
     began = time.monotonic()
-    with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
+    with workers.pool(jobs) as pool:
         waiting = [pool.submit(answered, scenario) for scenario in drawn]
         for done, future in enumerate(as_completed(waiting), 1):
             row = future.result()

@@ -17,13 +17,13 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import effects_scenarios as scenarios
 import numpy as np
+import workers
 from effects_answer import searched
 from threadpoolctl import threadpool_limits
 from virtual_flights import record_of
@@ -190,7 +190,7 @@ def answers(
     first_seed: int, count: int, jobs: int, kind: str
 ) -> Iterator[dict[str, object]]:
     """Answers of all flights, in the order in which they finish."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
+    with workers.pool(jobs) as pool:
         waiting = [pool.submit(answered, first_seed, k, kind) for k in range(count)]
         for done, future in enumerate(as_completed(waiting), 1):
             print(f'\r{done}/{count} flights', end='', file=sys.stderr, flush=True)

@@ -17,11 +17,11 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any
 
+import workers
 from effects_answer import searched
 from effects_judge import SPOILED, UNNAMED, WORTH
 from outside import SETS, Case, cases, record_of, simulator
@@ -91,7 +91,7 @@ def main() -> int:
     rows = []
     name = Path(options.sealed).parent.name if options.sealed else options.only or 'all'
     path = options.out / f'outside_{name}_{options.noise:g}.jsonl'
-    with (ProcessPoolExecutor(options.jobs, mp_context=get_context('spawn')) as pool,
+    with (workers.pool(options.jobs) as pool,
           path.open('w') as file):
         waiting = [pool.submit(answered, case)
                    for case in cases(options.only, options.noise, options.sealed, options.drawn)]

@@ -15,14 +15,14 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import effects_scenarios as scenarios
 import outside
+import workers
 from effects_answer import searched
 from threadpoolctl import threadpool_limits
 
@@ -80,7 +80,7 @@ def answered(plant: Plant) -> dict[str, Any]:
 
 def answers(chosen: list[Plant], jobs: int) -> Iterator[dict[str, Any]]:
     """Answers for all plants, in the order in which they finish."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
+    with workers.pool(jobs) as pool:
         for future in as_completed([pool.submit(answered, one) for one in chosen]):
             yield future.result()
 

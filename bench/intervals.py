@@ -17,13 +17,13 @@ import math
 import os
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import workers
 from numba import njit
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
@@ -186,7 +186,7 @@ def main() -> int:
              for amplitude in AMPLITUDES for rough in (False, True)]
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context('spawn')) as pool, \
+    with workers.pool(options.jobs) as pool, \
             (options.out / 'intervals.jsonl').open('w') as file:
         effects = EFFECTS if options.all else LAWS
         for future in as_completed([pool.submit(answered, case, effects) for case in cases]):

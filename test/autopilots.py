@@ -148,10 +148,7 @@ class Autopilot:
         while self._late and self._late[0][0] <= self.step:
             out += self._late.popleft()[1]
         if self.step % 250 == 1:
-            mode = 128 if self.armed else 0
-            out += self.pack(mav.MAVLink_heartbeat_message(
-                2, self.kind.autopilot, mode, self.mode, 4, 3
-            ))
+            out += self.heartbeat()
         for name, hz in self.streams.items():
             owed = self._owed.get(name, 0.0) + self.share * hz * 1e-6 * STEP_US
             self._owed[name] = owed % 1.0
@@ -159,6 +156,10 @@ class Autopilot:
                 self._owed[name] = max(owed - 1.0, 0.0)
                 out += self.pack(self.message(name))
         return out
+
+    def heartbeat(self) -> bytes:
+        return self.pack(mav.MAVLink_heartbeat_message(
+            2, self.kind.autopilot, 128 if self.armed else 0, self.mode, 4, 3))
 
     def moves(self):
         """Angles, rad, and rates, rad/s, now."""

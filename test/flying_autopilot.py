@@ -422,6 +422,9 @@ class Flying(Autopilot):
             self.sending.append(mav.MAVLink_autopilot_version_message(
                 0, version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, self.uid))
             return ACCEPTED
+        if command == REQUEST_MESSAGE and message.param1 == 0:
+            self._late.appendleft((self.step, self.heartbeat()))
+            return ACCEPTED
         if command == ARM_DISARM and message.param1 and self.sending and not self.px4:
             self.sending.appendleft(mav.MAVLink_statustext_message(3, b'Arm: Downloading logs'))
             return DENIED

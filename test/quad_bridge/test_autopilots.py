@@ -369,6 +369,25 @@ def test_a_craft_that_did_not_describe_itself_at_first_does_so_later(tmp_path, n
     assert line.controller.heard.count('PARAM_REQUEST_READ') < 30  # for what it does not know
 
 
+def test_a_craft_that_is_described_anew_ends_a_trial_where_its_units_change(flying):
+    """And says so; under another name, or not described (a line was silent), it is the same."""
+    line, p = flying('px4'), P['px4']
+    before, kp, craft = line.controller.parameters[p], *(
+        line.updates.active['roll.rate.kp'], line.aircraft.craft)
+    line.ask(roll_rate_kp=1.4 * kp)
+    line.fly(3.0)
+    for same in (replace(craft, name='another name'), None):
+        line.aircraft.describe(same)
+        line.fly(0.5)
+        assert line.updates.state is State.WATCHING
+    line.aircraft.describe(replace(craft, motors=tuple(
+        replace(motor, x=2.0 * motor.x, y=4.0 * motor.y) for motor in craft.motors)))
+    line.fly(1.0)
+    assert line.controller.parameters[p] == before
+    assert 'described anew' in line.updates.refused
+    assert line.updates.active['roll.rate.kp'] != pytest.approx(kp, rel=0.01)
+
+
 def test_where_one_answers_late_the_others_are_waited_for_too():
     """Otherwise a FRAME_CLASS without its FRAME_TYPE would be a craft for a moment."""
     asked = Parameters(f.Heartbeat(2, 3))
@@ -491,6 +510,39 @@ def test_system_id_is_left_before_its_parameters_go_back(flying, case):
     words = {'sticks': 'sticks were moved', 'let go': ''}.get(case, 'has been silent')
     assert words in sid.refusal
     assert bool(words) == bool(sid.refusal)
+
+
+@pytest.mark.parametrize(('name', 'injection', 'signal'), [
+    ('px4', 'attitude', 'prbs'), ('ardupilot', 'attitude', 'prbs'),
+    ('ardupilot', 'control', 'chirp')])
+@pytest.mark.parametrize('flies', [True, False])
+def test_the_mode_that_the_pilot_chooses_between_two_heartbeats_stays(
+        flying, name, injection, signal, flies):
+    """With the stick that ends the excitation, or just before its mode is asked for."""
+    line = flying(name)
+    controller, chosen = line.controller, 0x6040000 if name == 'px4' else 9  # Land
+    line.excite(0.02, 0.05)  # the heartbeat of this second has come
+    line.segment(signal=signal, injection=injection, **(CHIRP if signal == 'chirp' else {}))
+    while not any(mode.flying for mode in line.aircraft._modes) if flies else (
+            signal == 'prbs' and controller.step < 1010):
+        line.excite(0.004, 0.05)
+    controller.sticks[0], controller.mode = 0.3 * flies, chosen
+    line.excite(5.0, 0.05)
+    assert controller.mode == chosen
+    assert line.aircraft.at_rest
+
+
+def test_a_pilot_who_leaves_system_id_by_his_switch_has_ended_the_schedule(flying):
+    """The excitation node ends it where the bridge refuses; its next chirp would enter again."""
+    line = flying('ardupilot')
+    line.segment(signal='chirp', injection='control', **CHIRP)
+    line.excite(4.0, 0.05)
+    assert line.controller.mode == flown.SYSTEM_ID
+    line.controller.mode = 2  # AltHold
+    line.excite(2.0, 0.05)
+    assert 'left by the pilot' in line.connected.aircraft.cannot(Ability.EXCITE)
+    assert line.cycles[-1].flags & f.Flag.EXCITATION_REFUSED
+    assert line.aircraft.at_rest
 
 
 @pytest.mark.parametrize('wait_s', [0.0, 0.4])

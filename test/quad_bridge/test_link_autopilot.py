@@ -212,7 +212,12 @@ def test_an_autopilot_that_restarts_is_raised_again_and_nobody_is_blamed():
     assert first.stamp_ns < HOST0_NS + 5_000_000_000  # it was not silent for long
 
 
-@pytest.mark.parametrize('kind', [PX4, ARDUPILOT], ids=['PX4', 'ArduPilot'])
+OLD = replace(ARDUPILOT, parameters={  # as up to Copter 4.0, with the throttle on channel 1
+    **ARDUPILOT.parameters, 'MOT_PWM_MIN': 0, 'MOT_PWM_MAX': 0, 'RCMAP_ROLL': 3,
+    'RCMAP_THROTTLE': 1, 'RC1_MIN': 1050, 'RC1_MAX': 1550, 'RC3_MIN': 1, 'RC3_MAX': 2})
+
+
+@pytest.mark.parametrize('kind', [PX4, ARDUPILOT, OLD], ids=['PX4', 'ArduPilot', 'Copter 3'])
 def test_the_craft_is_read_from_the_autopilots_parameters(kind):
     line = flown(Autopilot(kind), 2.0)
     peer, parameters = line.described
@@ -222,7 +227,8 @@ def test_the_craft_is_read_from_the_autopilots_parameters(kind):
     motors = motor_outputs(peer.autopilot, line.link.name, parameters)
     layout = LAYOUTS['px4_quad_x' if kind is PX4 else 'ardupilot_quad_plus']
     assert motors.craft.signs == layout.signs
-    assert motors.efforts((1100, 1200, 1300, 1400)) == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    efforts = [0.1, 0.3, 0.5, 0.7] if kind is OLD else [0.1, 0.2, 0.3, 0.4]
+    assert motors.efforts((1100, 1200, 1300, 1400)) == pytest.approx(efforts)
     assert from_urdf(motors.craft.to_urdf()).signs == layout.signs
     assert 'PARAM_REQUEST_LIST' not in line.controller.heard  # a thousand, of which few are needed
 

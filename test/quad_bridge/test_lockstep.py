@@ -5,7 +5,7 @@ import itertools
 import pytest
 from node_process import until
 
-from quad_bridge.lockstep import START_NS, WINDOW_NS, WIRE, Participant
+from quad_bridge.lockstep import START_NS, STREAMS, WINDOW_NS, WIRE, Participant
 from quad_bridge.virtual.line import Line
 
 CYCLE_NS = 4_000_000
@@ -110,6 +110,18 @@ def test_the_wire_is_waited_for_until_it_is_forgotten(master):
     assert master.stuck() <= WINDOW
     bridge.forget(WIRE)
     master.goes_on()
+
+
+def test_time_goes_on_while_the_thread_of_timers_and_subscriptions_waits(master):
+    bridge, other, ran = master.join('bridge'), master.join('other'), []
+    bridge.on_due = bool  # as long as that thread waits
+    bridge.timer(0.004, lambda: ran.append(None))
+    bridge.handled(STREAMS[0], master.now_ns)
+    other.published(STREAMS[0], master.now_ns + CYCLE_NS)
+    assert master.stuck() <= 2 * WINDOW
+    master.meanwhile = lambda: bridge.rest(0.0)
+    master.goes_on()
+    assert ran
 
 
 def test_timers_run_at_every_time_that_is_theirs(master):

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from quad_bridge.log.writer import BagWriter, Limits
@@ -176,6 +176,26 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     assert words in '\n'.join(grid.warnings)
     assert np.all(np.diff(grid.cells) > 0)
     assert np.all(np.diff(stamps[grid.rows]) > 0)
+
+
+@pytest.mark.parametrize('plugin', StoragePlugin)
+def test_a_bag_whose_recorders_clock_was_set_back_is_read_in_the_order_of_its_file(
+        tmp_path, plugin):
+    """By the times of their receipt, messages of before and after would alternate."""
+    parts = [write_imu(tmp_path / name, stamps) for name, stamps in (
+        ('before', regular(700)), ('after', regular(300) + 700 * STEP - 2_000_500_000))]
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=plugin) as writer:
+        topics = {}
+        for part in parts:
+            with Reader(part) as reader:
+                for c, time_ns, raw in reader.messages():
+                    if c.topic not in topics:
+                        topics[c.topic] = writer.add_connection(
+                            c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest)
+                    writer.write(topics[c.topic], time_ns, raw)
+    got = read_bag(tmp_path / 'bag')
+    assert 'the clock was set back 1 times: 300 of 1000' in '\n'.join(got.warnings)
+    assert (got.n, got.dt) == (700, 0.004)
 
 
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):

@@ -191,6 +191,37 @@ def ardupilot_messages(flight: Flight) -> dict:
     }
 
 
+@pytest.mark.parametrize('text', [False, True])
+def test_two_flights_with_a_reboot_between_them_in_one_log_follow_each_other(
+        flight, tmp_path, text):
+    """Their clocks overlap: sorted by time, every other sample would be of the other flight."""
+    messages, content = ardupilot_messages(flight), b''
+    for kp, turned in ((0.135, 1.0), (0.2, -1.0)):
+        labels, rows = messages['RATE']
+        mine = {**messages, 'RATE': (labels, np.column_stack([rows[:, :1], turned * rows[:, 1:]]))}
+        parameters = {'FRAME_CLASS': 1, 'FRAME_TYPE': 1, 'ATC_RAT_RLL_P': kp,
+                      **{f'OTHER_{k}': 1.0 for k in range(30)}}
+        if text:
+            lines = ['FMT, 1, 1, PARM, QNf, TimeUS,Name,Value', *(
+                f'PARM, 1, {name}, {value}' for name, value in parameters.items())]
+            for name, (labels, rows) in mine.items():
+                lines += [f'FMT, 1, 1, {name}, Q, {",".join(labels)}', *(
+                    ', '.join([name, *map(repr, row)]) for row in rows.tolist())]
+            content += '\n'.join([*lines, '']).encode()
+        else:
+            content += dataflash(tmp_path / 'one.bin', mine, parameters).read_bytes()
+    path = tmp_path / ('log.log' if text else 'log.bin')
+    path.write_bytes(content)
+    record, notes = imported(path, tmp_path / 'bag')
+    assert 'its clock begins anew 1 times: 2 flights' in notes
+    first, second = record.rates[:N], record.rates[-N:]
+    assert record.n == pytest.approx(2 * N + 1250, abs=2)  # 2 s, and 3 s from boot to flight
+    np.testing.assert_allclose(first, flight.rates, atol=1e-4)
+    np.testing.assert_allclose(second, -flight.rates, atol=1e-4)
+    gains = [record.gains_at(t)['roll.rate.kp'] for t in (0.0, record.n * record.dt)]
+    assert gains[1] / gains[0] == pytest.approx(0.2 / 0.135)
+
+
 def test_ardupilot_pulses(flight, tmp_path):
     messages = ardupilot_messages(flight)
     stamps = messages['RCOU'][1][:, 0]

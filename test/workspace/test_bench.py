@@ -1,9 +1,11 @@
 """What the benchmarks publish: the plants of each set as they were, the pages as their data."""
 
 import hashlib
+import subprocess
+import sys
 from pathlib import Path
 
-from node_process import python
+from node_process import python, until
 
 BENCH = Path(__file__).resolve().parents[2] / 'bench'
 
@@ -67,3 +69,33 @@ def test_the_judge_takes_no_wrong_answer_for_a_right_one(monkeypatch):
 def test_the_pages_show_their_data():
     done = python(BENCH / 'results.py', '--check')
     assert (done.returncode, done.stdout) == (0, ''), done.stderr
+
+
+def test_workers_end_with_a_benchmark_that_is_killed(tmp_path):
+    """Also in the middle of a task, and while they wait for one."""
+    script = tmp_path / 'some.py'
+    script.write_text(f"""
+import os, sys, time
+sys.path.insert(0, {str(BENCH)!r})
+import workers
+if __name__ == '__main__':
+    with workers.pool(2) as pool:
+        sleeps = pool.submit(time.sleep, 10_000)
+        pool.submit(os.getpid).result()
+        print(flush=True)
+        sleeps.result()
+""")
+    bench = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    bench.stdout.readline()
+    children = Path(f'/proc/{bench.pid}/task/{bench.pid}/children').read_text().split()
+    assert len(children) > 2  # and one that tracks what they share
+    bench.kill()
+    bench.communicate()
+
+    def runs(number):
+        try:
+            return Path('/proc', number, 'cmdline').read_bytes()  # empty where nobody reaps it
+        except OSError:
+            return b''
+
+    until(lambda: not any(map(runs, children)), children)

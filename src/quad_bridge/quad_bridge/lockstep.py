@@ -65,6 +65,10 @@ class Clock:
     def release(self) -> None:
         """Let it go on."""
 
+    def rest(self, seconds: float) -> None:
+        """Wait a little in the thread of timers and subscriptions; time goes on meanwhile."""
+        time.sleep(seconds)
+
     def close(self) -> None:
         """Take part no more."""
 
@@ -190,6 +194,13 @@ class Participant(Clock):
         with self._lock:
             self._on_hold = False
             self._answer()
+
+    def rest(self, seconds: float) -> None:
+        """See Clock."""
+        super().rest(seconds)
+        for stream in STREAMS:  # nobody hears them now
+            self.forget(stream)
+        self.step()
 
     def close(self) -> None:
         """See Clock."""

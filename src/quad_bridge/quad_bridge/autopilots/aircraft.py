@@ -12,6 +12,7 @@ from typing import Any
 from quad_bridge.aircraft import INJECTIONS, STILL, Ability, Aircraft, Quad
 from quad_bridge.autopilots.flight import FlightState
 from quad_bridge.autopilots.gains import ASKED, ParameterGains
+from quad_bridge.autopilots.guard import REQUEST_MESSAGE
 from quad_bridge.autopilots.kinds import BY_NUMBER, Kind
 from quad_bridge.autopilots.system_id import NAMES as SID_NAMES
 from quad_bridge.autopilots.system_id import SystemId, sid_parameters
@@ -22,7 +23,7 @@ from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import flip_body
 from quad_bridge.wire.frames import Injection, Vector3
 
-REQUEST_MESSAGE, VERSION = 512, 148
+VERSION = 148
 AGAIN_S, REQUESTS = 1.0, 3
 """Between two questions for the version, and how many there are before it does without."""
 SWAP_S = 10.0  # silent for so long, it may be another one that is heard then
@@ -60,10 +61,10 @@ class AutopilotAircraft(Aircraft):
         self.last_cycle: f.Cycle | None = None
 
     def describe(self, craft: Craft | None) -> None:
-        """Take its craft, from which the unit of its gains follows."""
-        if self.craft not in {None, craft}:
-            self.gains.restart()
-        self.craft = craft
+        """Take its craft, from which the unit of its gains follows; None says nothing of it."""
+        known, self.craft = self.craft, craft or self.craft
+        if craft is not None and known is not None and known.motors != craft.motors:
+            self.gains.convert()
 
     @property
     def number(self) -> tuple[int, int]:

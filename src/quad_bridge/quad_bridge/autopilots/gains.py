@@ -165,6 +165,12 @@ class ParameterGains:
         self.active, self.values, self._kinds, self._requested = {}, {}, {}, {}
         self._go(State.READING)
 
+    def convert(self) -> None:
+        """Give what is active in other units, in which no trial goes on."""
+        self.revert('the craft was described anew, which changes the units of the gains')
+        if self.state is State.READY:
+            self._prove(State.READY, What.READ)
+
     def recall(self, record: object) -> None:
         """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
         self._recalled = True

@@ -1,19 +1,24 @@
 """What must stay as it was while an autopilot is excited: sticks, place, height, lean, line. Pure.
 
-Neither PX4's OFFBOARD nor ArduPilot's SYSTEM ID watches the pilot's sticks by default.
+Neither PX4's OFFBOARD nor ArduPilot's SYSTEM ID watches the pilot's sticks by default. Nor does
+either look at who has set the mode that a command replaces: `ModeSwitch` does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from quad_bridge.autopilots.flight import HEIGHT_S, FlightState
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.frames import Vector3
 
 MOST_TILT_RAD = math.radians(35.0)  # at hover thrust a fifth of the lift is lost there
 MOST_HEIGHT_M, MOST_PLACE_M = 2.0, 5.0  # from where the segment began: room to recover in
 MOST_SAG = 0.08  # share of the voltage at the beginning by which the battery may sink
+REQUEST_MESSAGE, HEARTBEAT = 512, 0
+AGAIN_S = 0.5  # between two questions for the mode
 
 
 @dataclass(frozen=True)
@@ -68,3 +73,29 @@ class Guard:
         if flight.volts < (1.0 - MOST_SAG) * self.volts:
             return f'the battery has sunk to {flight.volts:.1f} V'
         return ''
+
+
+class ModeSwitch:
+    """Changes the mode, unless the pilot has chosen another since the last heartbeat.
+
+    A heartbeat tells the mode, but comes once a second only; one that is asked for comes within a
+    round trip (where such requests are not known, the next one by itself), and allows one command.
+    """
+
+    def __init__(self, flight: FlightState, set_mode: Callable[[int], f.Command]) -> None:
+        self._flight, self._set_mode = flight, set_mode
+        self.restart()
+
+    def restart(self) -> None:
+        """Ask at once: it is another change."""
+        self._asked_s, self._is_open = -math.inf, False
+
+    def poll(self, previous: int, wanted: int, now_s: float) -> list[f.Frame]:
+        """Say what to send now so that the mode becomes `wanted`, where it is `previous`."""
+        if self._is_open and self._flight.beat_s > self._asked_s:
+            self._is_open = False
+            return [self._set_mode(wanted)] if self._flight.mode == previous else []
+        if now_s - self._asked_s <= AGAIN_S:
+            return []
+        self._asked_s, self._is_open = now_s, True
+        return [f.Command(REQUEST_MESSAGE, (float(HEARTBEAT),))]

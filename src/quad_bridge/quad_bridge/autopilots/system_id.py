@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any
 
 from quad_bridge.autopilots.flight import FlightState
-from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.guard import Guard, ModeSwitch
 from quad_bridge.autopilots.takeover import BEAT_S, LATEST_S
 from quad_bridge.link.parameters import number
 from quad_bridge.wire import frames as f
@@ -30,7 +30,7 @@ MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25
 NAMES = ('SID_AXIS', 'SID_MAGNITUDE', 'SID_F_START_HZ', 'SID_F_STOP_HZ', 'SID_T_FADE_IN',
          'SID_T_REC', 'SID_T_FADE_OUT')
 REPEAT_S, TRIES = 0.25, 8  # of a parameter: 2 s bridge the drop-outs of a telemetry radio
-ENTER_S, AGAIN_S = 3.0, 0.5  # for the mode, which is asked for again that often
+ENTER_S = 3.0  # until the mode must be there
 DELAY_S = 1.0  # from the mode's entry until it injects
 SET_UP_S = 2.0  # for parameters and the mode; the segment of the schedule began before them
 LEAST_S = 5.0  # of a sweep: a shorter one holds too little of its slow end
@@ -86,14 +86,14 @@ class SystemId:
         self.refusal = ''  # why the last chirp did not begin, or ended early
         self.known: dict[str, float] = {}
         self._kinds: dict[str, int] = {}
-        self._flight, self._set_mode, self._last_setpoint_s = flight, set_mode, last_setpoint_s
+        self._flight, self._last_setpoint_s = flight, last_setpoint_s
+        self._switch = ModeSwitch(flight, set_mode)
         self._before: dict[str, float] = {}
         self._target: dict[str, float] = {}
         self._queue: list[str] = []
         self._guard: Guard | None = None
-        self._tries, self._due_s, self._since_s, self._requested_s = 0, -math.inf, 0.0, -math.inf
+        self._tries, self._due_s, self._since_s = 0, -math.inf, 0.0
         self._start_s, self._end_s = -math.inf, math.inf
-        self._ask_back = False  # whether the mode from before is to be asked for, once
         self._sure_s = -math.inf  # a heartbeat from then on tells whether the mode was entered
 
     @property
@@ -132,8 +132,6 @@ class SystemId:
             self._restore(now_s)
             return
         asked = self.phase is Phase.ENTERING  # it may be in it, and the next heartbeat says so
-        self._ask_back = (asked and self._guard is not None
-                          and self._flight.mode == self._guard.mode)
         self._sure_s = now_s + BEAT_S if asked else -math.inf
         self._go(Phase.LEAVING, now_s)
 
@@ -168,17 +166,16 @@ class SystemId:
         elif self.phase is Phase.ENTERING:
             self._enter(now_s, out)
         elif self.phase is Phase.FLYING:
-            if self._flight.mode != MODE:
-                self._restore(now_s)  # it ended by itself, or the pilot has chosen another mode
+            if self._flight.mode != MODE:  # which it does not by itself, once its time is over
+                self.refusal = 'SYSTEM ID was left by the pilot or the autopilot'
+                self._restore(now_s)
             elif now_s - self._since_s > self._end_s:
                 self.end('its time is over', now_s)  # it stays in the mode, and injects no more
         elif self.phase is Phase.LEAVING:
-            is_our_mode = self._flight.mode == MODE
-            if not is_our_mode and self._flight.beat_s > self._sure_s:
+            if self._flight.mode != MODE and self._flight.beat_s > self._sure_s:
                 self._restore(now_s)
-            elif (is_our_mode or self._ask_back) and now_s - self._requested_s > AGAIN_S:
-                self._requested_s, self._ask_back = now_s, False
-                out.append(self._set_mode(self._guard.mode if self._guard else 0))
+            elif self._guard is not None:
+                out += self._switch.poll(MODE, self._guard.mode, now_s)
         return out
 
     def _write(self, now_s: float, out: list[f.Frame]) -> None:
@@ -200,9 +197,8 @@ class SystemId:
             self._go(Phase.FLYING, now_s)
         elif now_s - self._since_s > ENTER_S:
             self.end(f'SYSTEM ID was not entered in {ENTER_S:g} s', now_s, abort=True)
-        elif now_s - self._requested_s > AGAIN_S:
-            self._requested_s = now_s
-            out.append(self._set_mode(MODE))
+        elif self._guard is not None:
+            out += self._switch.poll(self._guard.mode, MODE, now_s)
 
     def _restore(self, now_s: float) -> None:
         self._queue = list(NAMES)
@@ -210,4 +206,5 @@ class SystemId:
 
     def _go(self, phase: Phase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
-        self._tries, self._due_s, self._requested_s = 0, -math.inf, -math.inf
+        self._tries, self._due_s = 0, -math.inf
+        self._switch.restart()

@@ -21,14 +21,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 from quad_bridge.autopilots.flight import HEIGHT_S, FlightState, wrapped
-from quad_bridge.autopilots.guard import Guard
+from quad_bridge.autopilots.guard import Guard, ModeSwitch
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.axes import angles_of, quaternion
 from quad_bridge.wire.frames import Injection, Vector3
 
 PERIOD_S = 0.01  # between two set-points; the autopilots want them at 50 Hz or faster
 STREAM_S = 1.2  # of set-points before the mode is asked for
-ENTER_S, AGAIN_S = 3.0, 0.5  # until the mode must be there; between two requests
+ENTER_S = 3.0  # until the mode must be there
 LEAVE_S, LEVEL_S = 3.0, 0.5  # of set-points without the mode back; the last of them are level
 BEAT_S = 1.5  # heartbeats, which tell the mode, come once a second
 HEIGHT_GAIN, CLIMB_GAIN, MOST_THRUST = 0.05, 0.06, 0.12
@@ -81,11 +81,11 @@ class Takeover:
         self._means, self._flight, self._known = means, flight, known
         self._start: Guard | None = None
         self._throttle = 0.0
-        self._ask_back = False  # whether the mode from before is to be asked for, once
+        self._switch = ModeSwitch(flight, means.set_mode)
         self._axis = 0
         self._excitation, self.last_setpoint_s = 0.0, -math.inf
         """The last set-point, and when the schedule was heard last, also beside SYSTEM ID."""
-        self._since_s = self._sent_s = self._requested_s = -math.inf
+        self._since_s = self._sent_s = -math.inf
         self._sent: deque[tuple[float, Vector3, Vector3]] = deque(maxlen=64)
         """When, the set-point in the unit of the injection, and its part without excitation."""
 
@@ -147,8 +147,6 @@ class Takeover:
         is_our_mode = self._flight.mode == self._means.mode
         switched = self.phase is Phase.FLYING and not is_our_mode  # to another's mode
         if self.phase is not Phase.LEAVING:
-            self._ask_back = is_our_mode or (self._start is not None
-                                             and self._flight.mode == self._start.mode)
             self._go(Phase.LEAVING if entered and not switched else Phase.IDLE, now_s)
 
     def target(self, reported: f.AttitudeTarget) -> None:
@@ -197,9 +195,8 @@ class Takeover:
                 self._go(Phase.FLYING, now_s)
             elif since_s > ENTER_S:
                 self.end(f'{self._means.name} was not entered in {ENTER_S:g} s', now_s, abort=True)
-            elif now_s - self._requested_s > AGAIN_S:
-                self._requested_s = now_s
-                out.append(self._means.set_mode(self._means.mode))
+            else:
+                out += self._switch.poll(start.mode, self._means.mode, now_s)
 
     def _leave(self, start: Guard, now_s: float, out: list[f.Frame]) -> None:
         """Ask for the mode from before, until it is no longer ours or somebody's."""
@@ -210,9 +207,8 @@ class Takeover:
             self._go(Phase.IDLE, now_s)
         elif waited_s > LEAVE_S and now_s - self._flight.beat_s > LEAVE_S:
             self._go(Phase.IDLE, now_s)  # nobody hears: the autopilot's own loss of OFFBOARD acts
-        elif (is_our_mode or self._ask_back) and now_s - self._requested_s > AGAIN_S:
-            self._requested_s, self._ask_back = now_s, False
-            out.append(self._means.set_mode(start.mode))
+        else:
+            out += self._switch.poll(self._means.mode, start.mode, now_s)
 
     def _abort_fault(self, start: Guard, now_s: float) -> str:
         """Why the segment must end now."""
@@ -279,6 +275,6 @@ class Takeover:
 
     def _go(self, phase: Phase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
-        self._requested_s = -math.inf
+        self._switch.restart()
         if phase is Phase.IDLE:
             self.applied, self._start = ZERO, None

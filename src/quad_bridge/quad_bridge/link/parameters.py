@@ -8,6 +8,7 @@ mean is not known here.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 
@@ -100,7 +101,18 @@ class Parameters:
     def _names(self) -> tuple[str, ...]:
         if self._autopilot == PX4:
             return px4_names(self.values)
-        return _ARDUPILOT if self._autopilot == ARDUPILOT else ()
+        return ardupilot_names(self.values) if self._autopilot == ARDUPILOT else ()
+
+
+def ardupilot_names(values: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of ArduPilot's parameters that are needed, by the values known so far.
+
+    Without a range in MOT_PWM_* the motors' pulses are those of the throttle's stick.
+    """
+    if 0.0 < values.get('MOT_PWM_MIN', 1.0) < values.get('MOT_PWM_MAX', math.inf):
+        return _ARDUPILOT
+    stick = int(values.get('RCMAP_THROTTLE', 3.0))
+    return (*_ARDUPILOT, f'RC{stick}_MIN', f'RC{stick}_MAX')
 
 
 def px4_names(values: Mapping[str, float]) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import threading
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -221,10 +220,10 @@ class SerialBridge(ManagedNode):
             self._logs.end()
             self._poll_gains(clock().now_ns())
             self._flush()
-        until_s = time.monotonic() + BACK_S
-        while not (at_rest := self._at_rest()) and time.monotonic() < until_s \
+        until_s, rest = clock().now_s() + BACK_S, self.fence.around(clock().rest)
+        while not (at_rest := self._at_rest()) and clock().now_s() < until_s \
                 and self._port.status.state is PortState.OPEN:
-            time.sleep(0.02)
+            rest(0.02)
         self._tell_notes()
         if not at_rest:
             self.get_logger().error(f'{self._link.name}: has not confirmed its old gains and mode '

@@ -237,6 +237,10 @@ def _load(path: Path) -> Table:
             wrong = np.any([~(np.abs(columns[c]) <= largest) for c in signal.columns], axis=0)
             table = table.without(
                 wrong, [n for n in columns if n.startswith(f'{kind}.')], f'{kind} messages')
+    if log.restarts:
+        table = replace(table, notes=(*table.notes, (
+            f'its clock begins anew {log.restarts} times: {log.restarts + 1} flights, placed one '
+            'behind the other')))
     if not log.skipped:
         return table
     what = 'bytes' if binary else 'characters'

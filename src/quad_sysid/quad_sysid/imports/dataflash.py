@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quad_sysid.contract import FloatArray
+from quad_sysid.imports.clock import PAUSE_S
 from quad_sysid.imports.table import Change
 
 MAGIC = b'\xa3\x95'
@@ -35,6 +36,9 @@ LARGEST = 1e6
 """Largest number in a message that is believed although no message begins right behind it."""
 NEAR_S = 10.0
 """Largest difference of such a message's time from its neighbours'."""
+RESTART_S, ENOUGH = 1.0, 20
+"""The clock has begun anew where so many messages of a kind are so much earlier than as many of
+them before; fewer are wrong stamps."""
 TEXT_FMT = re.compile(r'^\s*FMT, ?(\d+), ?(\d+), ?(\w+), ?(\w+), ?(.*?)\s*$')
 """A line of a text log that describes a message."""
 
@@ -69,6 +73,8 @@ class Log:
     """Bytes in which no whole message stands."""
     bursts: int = 0
     """Places at which bytes were skipped."""
+    restarts: int = 0
+    """How often the clock begins anew: another flight, after a reboot, in the same file."""
     in_ms: bool = False
     """Whether the times are those of a log before 2015."""
 
@@ -96,6 +102,7 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
     log.in_ms = clock == 'TimeMS'
     stamps = {name: TIMES[clock] * rows[clock].astype(float)
               for name, (_, rows) in messages.items() if clock in (rows.dtype.names or ())}
+    stamps, log.restarts = _in_turn({name: messages[name][0] for name in stamps}, stamps)
     stamped = [(messages[name][0], times) for name, times in stamps.items()]
     places = np.concatenate([offsets for offsets, _ in stamped]) if stamped else np.zeros(0)
     order = np.argsort(places, kind='stable')
@@ -114,6 +121,48 @@ def read_binary(data: NDArray[np.uint8], names: Collection[str]) -> Log:
                 log.columns[f'{name}.{label}'] = factor * rows[label].astype(float)
                 log.times[f'{name}.{label}'] = times
     return log
+
+
+def _in_turn(
+    places: Mapping[str, NDArray[np.int64]], times: Mapping[str, FloatArray]
+) -> tuple[Columns, int]:
+    """Times of all messages, each flight after a restart behind the one before; how many restarts.
+
+    `places` and `times` by kind: where in the file each message stands, and its own time, s.
+    """
+    ends = _restarts(places, times)
+    if not ends:
+        return dict(times), 0
+    flight = {name: np.searchsorted(ends, at, side='left') for name, at in places.items()}
+    out, end_s = {name: np.array(own) for name, own in times.items()}, 0.0
+    for k in range(len(ends) + 1):
+        some = [own[flight[name] == k] for name, own in times.items()]
+        own_s = np.concatenate([part[np.isfinite(part)] for part in some])
+        shift_s = end_s + PAUSE_S - float(own_s.min()) if k else 0.0
+        for name, moved in out.items():
+            moved[flight[name] == k] += shift_s
+        end_s = float(own_s.max(initial=-np.inf)) + shift_s
+    return out, len(ends)
+
+
+def _restarts(
+    places: Mapping[str, NDArray[np.int64]], times: Mapping[str, FloatArray]
+) -> list[int]:
+    """Where the last message before each restart of the clock stands; a kind says it roughly."""
+    spans = []
+    for name, own in times.items():
+        for i in np.flatnonzero(np.diff(own) < -RESTART_S) + 1:
+            before, after = own[max(i - ENOUGH, 0) : i], own[i : i + ENOUGH]
+            if min(len(before), len(after)) == ENOUGH and (
+                    np.median(after) < np.median(before) - RESTART_S):
+                spans.append((int(places[name][i - 1]), int(places[name][i])))
+    out: list[tuple[int, int]] = []
+    for last, first in sorted(spans, key=lambda span: span[1]):
+        if out and last < out[-1][1]:  # the same one
+            out[-1] = max(out[-1][0], last), out[-1][1]
+        else:
+            out.append((last, first))
+    return [last for last, _ in out]
 
 
 def _set(log: Log, rows: NDArray[np.void], times: NDArray[np.float64]) -> None:
@@ -261,8 +310,10 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
     log, labels = Log(), {}
     rows: dict[str, list[list[float]]] = {}
     clocks: dict[str, list[float]] = {}
+    places: dict[str, list[int]] = {}
+    parameters: list[tuple[str, float]] = []
     now = 0.0
-    for line in lines:
+    for number, line in enumerate(lines):
         definition = TEXT_FMT.match(line)
         if definition:
             labels[definition[3]] = [label.strip() for label in definition[5].split(',')]
@@ -280,7 +331,9 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
         if name == 'PARM':
             row = dict(zip(names, cells, strict=False))
             at_s = next((TIMES[c] * _number(row[c]) for c in TIMES if c in row), now)
-            log.set(row.get('Name', ''), _number(row.get('Value', '')), at_s)
+            parameters.append((row.get('Name', ''), _number(row.get('Value', ''))))
+            clocks.setdefault(name, []).append(at_s)
+            places.setdefault(name, []).append(number)
             continue
         clock = next((c for c in TIMES if c in names), None)
         numbers = [_number(cell) for cell in cells[: len(names)]]
@@ -289,13 +342,25 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
             log.in_ms |= clock == 'TimeMS'
         rows.setdefault(name, []).append(numbers)
         clocks.setdefault(name, []).append(now)
+        places.setdefault(name, []).append(number)
+    stamps, log.restarts = _in_turn(
+        {name: np.array(some) for name, some in places.items()},
+        {name: np.array(some) for name, some in clocks.items()})
+    for (parameter, value), time_s in zip(parameters, stamps.get('PARM', ()), strict=True):
+        log.set(parameter, value, float(time_s))
     for name, some in rows.items():
-        array, times = np.array(some), np.array(clocks[name])
-        for i, label in enumerate(labels[name]):
-            if np.isfinite(array[:, i]).any():
-                log.columns[f'{name}.{label}'] = array[:, i].copy()
-                log.times[f'{name}.{label}'] = times
+        _keep(log, name, labels[name], np.array(some), stamps[name])
     return log
+
+
+def _keep(
+    log: Log, name: str, labels: Sequence[str], array: FloatArray, times: FloatArray
+) -> None:
+    """Take the columns of a text's message, as far as they hold numbers."""
+    for i, label in enumerate(labels):
+        if np.isfinite(array[:, i]).any():
+            log.columns[f'{name}.{label}'] = array[:, i].copy()
+            log.times[f'{name}.{label}'] = times
 
 
 def _is_used(name: str, labels: Sequence[str], kinds: Collection[str]) -> bool:
