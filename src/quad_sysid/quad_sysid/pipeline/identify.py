@@ -90,6 +90,8 @@ NOT_SEARCHED = 'effects were not searched for'
 DRAWN = (f'{NOT_SEARCHED}, since the commands were interpolated between samples at some '
          '{:.3g} Hz and cannot carry them (log the commands at the full rate)')
 NOT_FITTED = 'it cannot be fitted beside the base'
+NOT_POSITIVE = (f'{NOT_FITTED}: the training does not bear it with a positive {{}}; leave '
+                '`positive` out where a negative one is physical')
 
 
 @dataclass(frozen=True)
@@ -252,8 +254,11 @@ def with_own(problem: Problem, result: SearchResult, effects: Sequence[Effect]) 
     fits = {score.part.effect.label: extended(problem, result.base, score)
             for score in screen(problem, result.base, candidates(problem, passed_over)[0])}
     more = [scored(fit, result.prices) for fit in fits.values() if fit is not None]
-    failed = {effect.label: NOT_FITTED for effect in passed_over
-              if fits.get(effect.label) is None}
+    positive = {effect.label: ' or '.join(spec.name for spec in effect.parameters if spec.positive)
+                for effect in passed_over if effect.label not in fits}
+    failed = {effect.label: NOT_POSITIVE.format(positive[effect.label])
+              if positive.get(effect.label) else NOT_FITTED
+              for effect in passed_over if fits.get(effect.label) is None}
     return to_convergence(problem, replace(result, all=(*result.all, *more),
                                            reasons=result.reasons | failed))
 
