@@ -40,7 +40,13 @@ from quad_sysid.pipeline.constants import GUSTY
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
-from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
+from quad_sysid.pipeline.usable import (
+    check_usable,
+    cut_off_command,
+    refusal,
+    together,
+    too_few_windows,
+)
 from quad_sysid.record import IOData, Record
 from quad_sysid.units import Units, unit_and_factor
 
@@ -303,7 +309,12 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
             f'; the training {"also " if labels else ""}suggests {" and ".join(withdrawn)}, which '
         ) + ('the held-out segments do not confirm' if again >= AGAIN else
              f'comes again in {again:.0%} of resampled flights only')
-    if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
+    follows = not verdict.after > GUSTY * verdict.noise_floor
+    cut_off = '' if follows else cut_off_command(findings.data, units)
+    if cut_off and verdict.verdict != 'cannot_tell':
+        reason += f'{"; " if reason else ""}{cut_off}'
+    elif verdict.verdict == 'no_missing_effect' and (
+            verdict.before > GUSTY * verdict.noise_floor):
         noise = noise_of(verdict.base)
         unit, factor = unit_and_factor(units, 'rad/s²')
         reason += (
@@ -322,7 +333,8 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.zero_terms:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not (
+            cut_off or findings.problem.zero_terms):
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'
