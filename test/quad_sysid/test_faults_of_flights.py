@@ -153,3 +153,22 @@ def test_a_log_with_gaps_keeps_its_windows_and_blocks_and_its_errors_are_as_larg
     counts = [Problem(one, one.train).blocks(2.0).max() for one in (
         axis_data([whole], 'roll'), axis_data([replace(whole, rates=rates)], 'roll'))]
     assert counts[1] == pytest.approx(counts[0], abs=1)
+
+
+@pytest.mark.usefixtures('quick')
+@pytest.mark.parametrize(('reaches', 'sign', 'said'), [
+    ('all of it', 1.0, True), ('all of it', -1.0, True), ('what is recorded', 1.0, False),
+])
+def test_a_command_whose_record_alone_is_limited_is_said(reaches, sign, said):
+    """What the aircraft is sent may be limited, but a record that is cut off hides it."""
+    def limited(u):
+        return np.clip(u, -0.05, 0.05)
+
+    axis = Axis() if reaches == 'all of it' else Axis(command=lambda _t, u, _v: limited(u))
+    flight = fly(axis, 5, replace(SHORT, amplitude=0.5))
+    record = replace(flight, control=limited(flight.control) * [0.0, sign, 1.0, 1.0] + [
+        0.5, 0.0, 0.0, 0.0])
+    answer = identify([record], Options(axes=('roll',), effects=()))['roll']
+    assert ('stands at -0.05 or 0.05, its ends, for' in answer.reason) == said
+    assert 'the order of the motors' not in answer.reason
+    assert (answer.model.value('gain') < 0.0) == (sign < 0.0)

@@ -16,11 +16,14 @@ from node_process import python
 
 import quad_sysid as qs
 from quad_sysid.cli import main
+from quad_sysid.effects import _installed
 from quad_sysid.loop.from_model import loop_plant
-from quad_sysid.loop.linear import STILL, linear
+from quad_sysid.loop.linear import STILL, WIDE, linear, loops_of
+from quad_sysid.model import EffectEstimate, Parameter
 from quad_sysid.model.checked import checked
 from quad_sysid.pipeline import identify
 from quad_sysid.report import html, plots
+from quad_sysid.result import installed_designer
 from quad_tuning.cli import main as tune
 
 
@@ -96,6 +99,37 @@ def test_one_of_an_installed_package_is_among_ours(tmp_path):
     assert 'cogging' in done.stdout.split(), done.stderr
 
 
+def offered(value, load):
+    return SimpleNamespace(name='pid', value=value, load=load)
+
+
+@pytest.mark.parametrize(('second', 'words'), [
+    (lambda: 1 / 0, 'entry point b:E: cannot be loaded: found ZeroDivisionError: division by'),
+    (lambda: (Cogging(),), 'entry point b:E: two effects have one name: found cogging'),
+])
+def test_a_package_that_fails_or_repeats_a_name_is_said_in_one_line(
+        monkeypatch, refusal, second, words):
+    entries = [offered('a:E', lambda: (Cogging(),)), offered('b:E', second)]
+    monkeypatch.setattr('quad_sysid.effects.entry_points', lambda **_: entries)
+    assert words in refusal(_installed)
+
+
+def test_another_packages_designer_comes_before_quad_tunings(monkeypatch):
+    ours, mine, other = (offered(f'{name}:design', lambda name=name: name)
+                         for name in ('quad_tuning.designer', 'mine', 'other'))
+    broken = offered('broken:design', lambda: 1 / 0)
+    for entries, designer, words in (
+        ([ours], 'quad_tuning.designer', ''), ([mine, ours], 'mine', ''),
+        ([ours, mine], 'mine', ''), ([mine, ours, other], None, '(mine:design, other:design); un'),
+        ([ours, broken], None, 'broken:design cannot be loaded: ZeroDivisionError'),
+        ([], None, 'install quad_tuning'),
+    ):
+        monkeypatch.setattr('quad_sysid.result.entry_points', lambda entries=entries, **_: entries)
+        found, because = installed_designer()
+        assert found == designer
+        assert words in because
+
+
 class Late(Cogging):
     """The same a tenth of a second later; the size of its parameter follows from the flight."""
 
@@ -147,6 +181,47 @@ def test_it_is_linearised_designed_for_and_separated(result, monkeypatch):
     assert found.best.worst.nats > 0.0
     words = ['design-excitation', '--quiet', '--seconds', '10', '--separate', 'cogging', 'nothing']
     assert main(words) == 2
+
+
+class SlowDrag(qs.Effect):
+    """Drag by the square of the rate, which builds up over a third of a second."""
+
+    name, signals, states = 'slow_drag', ('rate',), 1
+    parameters = (qs.Spec('coefficient', '1/rad'),)
+
+    def torque(self, s, p, _):
+        return -p[0] * s.hidden[0]
+
+    def advance(self, x, s, *_):
+        return x + s.dt / 0.3 * (s.rate * np.abs(s.rate) - x)
+
+
+class SlowMotors(qs.Effect):
+    """A second lag of the motors; it does not say that it has a history."""
+
+    name, signals, states = 'slow_motors', ('command',), 1
+    parameters = (qs.Spec('lag', 's', spread=0.1, centre=0.06),)
+
+    def command(self, s, *_):
+        return s.hidden[0]
+
+    def advance(self, x, s, p, _):
+        return x + s.dt / p[0] * (s.sent - x)
+
+
+def test_margins_have_the_memory_of_an_effect_of_ones_own():
+    """A damping is no spring that drives away, and a lag of the command turns its phase."""
+    drag, motors = (
+        loop_plant(replace(model_of(EffectEstimate(one.name, 'named', one.signals, (
+            Parameter(one.parameters[0].name, value, 0.1, ''),))), own_effects=(one,)))
+        for one, value in ((SlowDrag(), 3.0), (SlowMotors(), 0.06)))
+    (part, _), *_ = linear(drag, WIDE).plant.torque_effects
+    assert part.effect.rows[0, 0] == pytest.approx(1.0 - 0.004 / 0.3)
+    assert abs(part.effect.rows[0, 2]) < 0.2 * part.effect.rows[0, 1] * (4.0 / 0.35)
+    w = np.array([10.0])
+    late, usual = (loops_of([(one, WIDE)]).response(w)[0, 0, 0]
+                   for one in (motors, loop_plant(model_of())))
+    assert np.angle(late / usual) == pytest.approx(-math.atan(0.6), abs=0.05)
 
 
 def test_ours_would_be_accepted_from_anybody():

@@ -191,6 +191,8 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
         other = {**effect, 'name': name, 'kind': kind, 'parameters': [
             dict(zip(('name', 'value', 'unit'), p, strict=True)) for p in parameters]}
         assert f'{said} explains' in causes({**tree, 'effects': [other]})
+    large = {**effect, 'parameters': [{'name': 'torque', 'value': 1380.0, 'unit': 'rad/s²'}]}
+    assert 'of 1380 rad/s²' in causes({**tree, 'effects': [large]})
     motors = {**effect, 'name': 'mode:lead', 'kind': 'mode'}
     assert 'otors that overshoot explain ' in causes({**tree, 'effects': [motors]})
     assert tables.effects(tree).rows[0][-1] == f'-{effect["error_reduction_pct"]:.0f} %'
@@ -281,3 +283,12 @@ def test_what_a_stored_model_does_on_another_flight(before, after, said, unsaid)
     text = on_this_flight({'effects': [EFFECTS[0]], 'error': error})
     assert said in text
     assert unsaid not in text
+
+
+def test_the_figures_of_a_design_stand_beside_its_own_gains(tree):
+    """Where the update that is sent lies on the way, the table has the target, and names both."""
+    first, end = ({'roll.rate.kp': kp} for kp in (0.0755, 0.0912))
+    text = '\n'.join(tables.gains(
+        {**tree, 'gains': first, 'gain_steps': [first, end]}, 'roll', {}).text())
+    assert re.search(r'roll\.rate\.kp +\S+ +0\.0912 ', text)
+    assert 'send roll.rate.kp 0.0755 first' in ' '.join(text.split())

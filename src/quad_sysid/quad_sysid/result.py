@@ -417,18 +417,24 @@ def _halt(seconds: float | None, stop: Callable[[], bool]) -> Callable[[], str]:
 
 
 def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
-    """The designer of this name, or None and the reason."""
-    designers = {entry.name: entry for entry in entry_points(group=DESIGNERS)}
-    if name not in designers:
-        offered = ', '.join(sorted(designers)) or 'none'
+    """The designer of this name, or None and why; another package's before quad_tuning's."""
+    entries = entry_points(group=DESIGNERS)
+    offered = {entry.value: entry for entry in entries if entry.name == name}
+    own = [value for value in offered if not value.startswith('quad_tuning.')] or [*offered]
+    if not own:
+        names = ', '.join(sorted({entry.name for entry in entries})) or 'none'
         return None, (
-            f'no designer {name!r} in the entry point group {DESIGNERS} (offered: {offered}); '
+            f'no designer {name!r} in the entry point group {DESIGNERS} (offered: {names}); '
             'install quad_tuning'
         )
+    if len(own) > 1:
+        return None, (f'several packages offer the designer {name!r} ({", ".join(own)}); '
+                      'uninstall all but one')
     try:
-        designer: Designer = designers[name].load()
-    except ImportError as error:
-        return None, f'the designer {name!r} cannot be loaded: {error}'
+        designer: Designer = offered[own[0]].load()
+    except Exception as error:  # noqa: BLE001 - the identification stands without gains
+        return None, (f'the designer {own[0]} cannot be loaded: {type(error).__name__}: {error}; '
+                      'mend its package or uninstall it')
     return designer, ''
 
 

@@ -339,7 +339,7 @@ def candidates(
 
 def _replaced(problem: Problem, effect: Effect) -> str:
     """Why an effect has no built-in term to change beside a law of the user's; '' where it has."""
-    of_drive = not effect.moves_command and {'command', 'history'} <= {*effect.signals}
+    of_drive = not effect.moves_command and effect.remembers_command
     term = 'gain' if of_drive else {'response': 'lag'}.get(effect.term, effect.term)
     gone = [BASE[i].name for i in problem.zero_terms]
     return (f"it acts on the {term}, which the base of one's own replaces; keep=({term!r},) fits "

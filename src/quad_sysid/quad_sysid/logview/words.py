@@ -16,6 +16,7 @@ from quad_sysid.logview.response import LoopResponse
 from quad_sysid.logview.spectrum import Peak
 from quad_sysid.logview.step import Response
 from quad_sysid.report.tables import Table, wrapped
+from quad_sysid.report.words import number
 
 SCHEMA = 'quad_sysid/look/1'
 UNEVEN_PCT = 5.0
@@ -171,9 +172,9 @@ def steps(part: Part) -> Table:
         for s in on_axis.steps:
             f = s.figures
             largest = f'{DEG * s.largest:.0f}' + (' deg/s' if s.quantity == 'rate' else ' deg')
-            rows.append([axis, s.quantity, s.amplitude, largest, _or(1e3 * f.rise_time_s, '.3g'),
-                         _or(f.overshoot_pct, '.1f'), _or(1e3 * f.settling_time_s, '.3g'),
-                         _or(1e3 * s.latency_s, '.3g'),
+            rows.append([axis, s.quantity, s.amplitude, largest, _three(1e3 * f.rise_time_s),
+                         _or(f.overshoot_pct, '.1f'), _three(1e3 * f.settling_time_s),
+                         _three(1e3 * s.latency_s),
                          f'{100.0 - f.final_error_pct:.0f}', f'{100.0 * s.fit:.0f}',
                          str(s.windows)])
     return Table(['axis', 'of', 'set-points', 'up to', 'rise, ms', 'over, %', 'settled, ms',
@@ -192,9 +193,9 @@ def loops(part: Part) -> Table:
         if loop is not None:
             rows.append([
                 axis, f'{loop.frequency_hz[0]:.2g} to {loop.frequency_hz[-1]:.3g}',
-                _or(loop.bandwidth_hz, '.3g'), '–' if not np.isfinite(loop.peak) else
+                _three(loop.bandwidth_hz), '–' if not np.isfinite(loop.peak) else
                 f'{loop.peak:.2f} at {loop.peak_hz:.3g}',
-                _or(loop.crossover_hz, '.3g'), _or(loop.phase_margin_deg, '.0f'),
+                _three(loop.crossover_hz), _or(loop.phase_margin_deg, '.0f'),
                 _or(loop.gain_margin_db, '.1f'),
                 '–' if not np.isfinite(loop.sensitivity) else
                 f'{loop.sensitivity:.2f} at {loop.sensitivity_hz:.3g}'])
@@ -262,7 +263,11 @@ def motors(look: Measured) -> Table:
 
 
 def _ms(seconds: float) -> str:
-    return f'{float(f"{1e3 * seconds:.3g}"):g} ms' if np.isfinite(seconds) else '–'
+    return f'{number(1e3 * seconds)} ms' if np.isfinite(seconds) else '–'
+
+
+def _three(value: float) -> str:
+    return number(value) if np.isfinite(value) else '–'
 
 
 def _or(value: float, form: str) -> str:

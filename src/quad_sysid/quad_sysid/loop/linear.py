@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from quad_sysid.axes import TURNING, Level
 from quad_sysid.contract import FloatArray
-from quad_sysid.effects.actuators import Following
+from quad_sysid.effects.actuators import Following, Steps
 from quad_sysid.effects.hidden import Linear
 from quad_sysid.loop.likeness import LinearChannels, LinearMap, LinearTorque
 from quad_sysid.loop.plant import Flying
@@ -198,9 +198,17 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         if m:
             initial = np.repeat(steady[:, None], n, axis=1)
             x = effect.trace(s, p, settings, ((0, n),), initial)
-        coefficients = _fitted(x, steady, np.stack([rate, angle, drive, change]), after(x, s))
+        inputs, later = np.stack([rate, angle, drive, change]), after(x, s)
+        coefficients = _fitted(x, steady, inputs, later)
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = coefficients[first:]
+        keep = np.stack([(after(x + step[:, None], s) - later)[:m] / SMALL
+                         for step in SMALL * np.eye(m)], axis=1) if m else np.zeros((0, 0, n))
+        if not first and m and np.allclose(keep, keep[..., :1], rtol=1e-6, atol=1e-9):
+            # a fit would give the angle what a linear memory makes of the bend of its inputs
+            rows[:m, :m] = keep[..., 0]
+            moved = later[:m] - rows[:m, :m] @ (x - steady[:, None])
+            rows[:m, m:] = _fitted(x[:0], steady[:0], inputs, moved)
     return LinearTorque(m, rows, steady)
 
 
@@ -249,7 +257,7 @@ def _map(part: Part, p: FloatArray, s: Signals) -> LinearMap:
         return LinearMap(m, rows, np.zeros(m))
     u, out = required(s.sent), effect.command(s, p, settings)
     sizes = max(float(np.abs(u).max()), 1e-300)
-    if m and 'history' in effect.signals:
+    if m and not isinstance(effect, Steps):
         regressors = np.column_stack([out[:-1], u[1:]]) / sizes
         keep, into = np.linalg.lstsq(regressors, out[1:] / sizes, rcond=None)[0]
         keep = float(np.clip(keep, 0.0, 1.0 - 1e-6))

@@ -450,6 +450,12 @@ class Effect:
         return kind.command is not Effect.command or kind.actuate is not Effect.actuate
 
     @property
+    def remembers_command(self) -> bool:
+        """Whether what it remembers follows the command."""
+        own_states = bool(self.states) and not self.moves_command
+        return 'command' in self.signals and (own_states or 'history' in self.signals)
+
+    @property
     def label(self) -> str:
         """Name and variant."""
         return f'{self.name}/{self.variant}' if self.variant else self.name

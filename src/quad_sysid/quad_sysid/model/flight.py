@@ -197,8 +197,7 @@ class Flight:
         """
         acting = structure.command_effects
         # what remembers the drive needs it from the start, all others from a pass to its end
-        remembered = any({'command', 'history'} <= {*part.effect.signals}
-                         for part, _ in structure.placed)
+        remembered = any(part.effect.remembers_command for part, _ in structure.placed)
         key = p[1:3].tobytes() + bytes([remembered]) + b''.join(
             part.effect.label.encode() + p[where].tobytes() + repr(part.settings).encode()
             for part, where in acting

@@ -40,7 +40,13 @@ from quad_sysid.pipeline.constants import GUSTY
 from quad_sysid.pipeline.held_out import held_out, residuals
 from quad_sysid.pipeline.selection import with_blackbox
 from quad_sysid.pipeline.step_b import Loop, closed_loop, loop_of
-from quad_sysid.pipeline.usable import check_usable, refusal, together, too_few_windows
+from quad_sysid.pipeline.usable import (
+    check_usable,
+    cut_off_command,
+    refusal,
+    together,
+    too_few_windows,
+)
 from quad_sysid.record import IOData, Record
 from quad_sysid.units import Units, unit_and_factor
 
@@ -90,6 +96,8 @@ NOT_SEARCHED = 'effects were not searched for'
 DRAWN = (f'{NOT_SEARCHED}, since the commands were interpolated between samples at some '
          '{:.3g} Hz and cannot carry them (log the commands at the full rate)')
 NOT_FITTED = 'it cannot be fitted beside the base'
+NOT_POSITIVE = (f'{NOT_FITTED}: the training does not bear it with a positive {{}}; leave '
+                '`positive` out where a negative one is physical')
 
 
 @dataclass(frozen=True)
@@ -252,8 +260,11 @@ def with_own(problem: Problem, result: SearchResult, effects: Sequence[Effect]) 
     fits = {score.part.effect.label: extended(problem, result.base, score)
             for score in screen(problem, result.base, candidates(problem, passed_over)[0])}
     more = [scored(fit, result.prices) for fit in fits.values() if fit is not None]
-    failed = {effect.label: NOT_FITTED for effect in passed_over
-              if fits.get(effect.label) is None}
+    positive = {effect.label: ' or '.join(spec.name for spec in effect.parameters if spec.positive)
+                for effect in passed_over if effect.label not in fits}
+    failed = {effect.label: NOT_POSITIVE.format(positive[effect.label])
+              if positive.get(effect.label) else NOT_FITTED
+              for effect in passed_over if fits.get(effect.label) is None}
     return to_convergence(problem, replace(result, all=(*result.all, *more),
                                            reasons=result.reasons | failed))
 
@@ -298,7 +309,12 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
             f'; the training {"also " if labels else ""}suggests {" and ".join(withdrawn)}, which '
         ) + ('the held-out segments do not confirm' if again >= AGAIN else
              f'comes again in {again:.0%} of resampled flights only')
-    if verdict.verdict == 'no_missing_effect' and verdict.before > GUSTY * verdict.noise_floor:
+    follows = not verdict.after > GUSTY * verdict.noise_floor
+    cut_off = '' if follows else cut_off_command(findings.data, units)
+    if cut_off and verdict.verdict != 'cannot_tell':
+        reason += f'{"; " if reason else ""}{cut_off}'
+    elif verdict.verdict == 'no_missing_effect' and (
+            verdict.before > GUSTY * verdict.noise_floor):
         noise = noise_of(verdict.base)
         unit, factor = unit_and_factor(units, 'rad/s²')
         reason += (
@@ -317,7 +333,8 @@ def _reason(findings: Findings, not_searched: str, units: Units | None = None) -
         reason += (f'{"; " if reason else ""}the data do not tell lag and damping apart: {first}, '
                    f'or about as well {second}; measured rotor speeds would decide')
     gain = verdict.chosen.value('gain')
-    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not findings.problem.zero_terms:
+    if verdict.verdict != 'cannot_tell' and gain < 0.0 and not (
+            cut_off or findings.problem.zero_terms):
         reason += (
             '; a positive command lowers the rate: check the order of the motors, the mixer and '
             'the sign of the gyro before anything else'

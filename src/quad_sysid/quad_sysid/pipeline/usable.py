@@ -20,6 +20,7 @@ from quad_sysid.errors import BadInputError, NotInformativeError
 from quad_sysid.model.data import SETTLE_S, WINDOW_S, AxisData, Span, at_limit
 from quad_sysid.record import ENOUGH_ROWS, SHORT_GAP_S, Record, RotorLag, motors_at_limit
 from quad_sysid.rotors import rotors_of
+from quad_sysid.units import Units
 
 SAME_RATE = 5e-3
 """Relative difference of sample intervals that two clocks of one rate may have."""
@@ -34,6 +35,12 @@ THROUGHOUT = 0.9
 CLIPPED = 0.1
 """Share that a gyro may spend at its limit: the fit leaves these samples out and would hold to
 0.3, but the errors include them."""
+AT_ENDS = 0.01
+"""Share of the samples at the ends of the command from which it may be cut off there."""
+ROUNDED = 1e-4
+"""Share of its range by which a command at its end may differ from it."""
+MANY_VALUES = 50
+"""Least number of values of a command that a controller computes."""
 LEAST_OVERLAP = 50
 """Samples; fewer may agree by chance, as at rest."""
 
@@ -159,6 +166,25 @@ def too_few_windows(data: AxisData) -> str:
     return '' if count >= LEAST_BLOCKS else (
         f'only {count} windows of 0.5 s are held out, and a test needs {LEAST_BLOCKS}: fly the '
         'schedule to its end, or name longer segments with --train and --validate')
+
+
+def cut_off_command(data: AxisData, units: Units | None = None) -> str:
+    """Where the command often stands at its ends: that its record may be cut off; else empty.
+
+    A command of few values, such as a PRBS at the control, is at its ends by itself.
+    """
+    command = data.training(data.command)
+    command = command[np.isfinite(command)]
+    ends = float(command.min()), float(command.max())
+    near = ROUNDED * (ends[1] - ends[0])
+    inside = command[(command > ends[0] + near) & (command < ends[1] - near)]
+    share = 1.0 - inside.size / command.size
+    if share < AT_ENDS or np.unique(inside).size < MANY_VALUES:
+        return ''
+    low, high = sorted((units or Units()).command_in(np.array(ends)))
+    return (f'the command stands at {low:.3g} or {high:.3g}, its ends, for {share:.0%} of the '
+            'training, and no model follows the rate: where only its record is limited there, '
+            'the fit misses what the aircraft was sent; record the command as it was sent')
 
 
 def _lacking(data: AxisData, records: Sequence[Record], role: str) -> str:

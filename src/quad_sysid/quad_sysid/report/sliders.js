@@ -113,7 +113,7 @@ class Tryout {
     const begun = performance.now(), now = this.step(this.gains), m = this.margins(this.gains), s = this.figures(now);
     for (const [input, value, i] of this.inputs) {
       const factor = this.gains[i] / this.d.flown[i];
-      input.value = Math.log2(factor); value.textContent = this.gains[i].toPrecision(3) + ', × ' + factor.toFixed(2);
+      input.value = Math.log2(factor); value.textContent = +this.gains[i].toPrecision(3) + ', × ' + factor.toFixed(2);
     }
     const top = Math.min(3, Math.max(1.3, ...now, ...this.before)) * 1.05, low = Math.max(-1, Math.min(0, ...now));
     const X = k => 40 + 390 * k / now.length, Y = v => 10 + 130 * (top - v) / (top - low);

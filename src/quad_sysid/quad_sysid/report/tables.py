@@ -13,7 +13,18 @@ from typing import Any
 
 from quad_sysid.axes import units_of
 from quad_sysid.record import UNNAMED
-from quad_sysid.report.words import FIGURES, chance, estimate, figure, named, number, values, yes
+from quad_sysid.report.words import (
+    FIGURES,
+    chance,
+    estimate,
+    figure,
+    listed_gains,
+    named,
+    number,
+    target,
+    values,
+    yes,
+)
 from quad_sysid.units import unit_and_factor
 
 Tree = Mapping[str, Any]
@@ -306,7 +317,7 @@ def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
     """Gains before and after, then the designer's figures before and after."""
     from quad_sysid.loop.cascade import contract_names  # seconds, which other tables need not
 
-    figures, new = tree.get('gain_figures') or {}, tree.get('gains') or {}
+    figures, new, first = tree.get('gain_figures') or {}, target(tree), tree.get('gains') or {}
     units = {name: unit_and_factor(units_of(axis), GAIN_UNITS[field])[0]
              for field, name in contract_names(axis).items() if field in GAIN_UNITS}
     rows = [
@@ -314,7 +325,9 @@ def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:
          number(new.get(name), 4), unit]
         for name, unit in units.items() if name in new or name in active
     ]
-    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures, axis)], (1, 2))
+    return Table(['', 'before', 'after', 'unit'], [*rows, *figure_rows(figures, axis)], (1, 2),
+                 caption='' if new == first else 'All at once is not safe: send '
+                 f'{listed_gains(first)} first, fly, and identify again.')
 
 
 def figure_rows(figures: Mapping[str, float], axis: str) -> list[list[str]]:

@@ -136,8 +136,8 @@ def values(effect: Tree) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number as text, a dash for none."""
-    return '–' if value is None else f'{value:.{digits}g}'
+    """A number as text, a dash for none; 1380 and not 1.38e+03."""
+    return '–' if value is None else f'{float(f"{value:.{digits}g}"):g}'
 
 
 def yes(value: bool) -> str:
@@ -267,12 +267,12 @@ def causes(tree: Tree) -> str:
     for effect in tree.get('effects', ()):
         size, of = next(iter(effect['parameters']), None), ''
         if size and size['value'] and effect['kind'] == 'named':
-            name, value = size['name'].replace('_', ' '), f'{size["value"]:.3g}'
+            name, value = size['name'].replace('_', ' '), number(size['value'])
             of = f' ({name} {value})' if size['unit'] == '1' else \
                 f' {"at" if name == "time" else "of"} {value} {size["unit"]}'
         for p in effect['parameters']:
             if p['name'] == 'frequency' and not (of and p is size):
-                of += f' at {p["value"]:.3g} Hz'
+                of += f' at {number(p["value"])} Hz'
         words = named(effect)
         verb = 'explain' if words.startswith('motor') else 'explains'  # the motors' own are plural
         parts.append(f'{words}{of} {verb} {effect["explains_pct"]:.0f} %')
@@ -316,12 +316,25 @@ def _missing(tree: Tree) -> list[str]:
     return out
 
 
+def listed_gains(gains: Mapping[str, float]) -> str:
+    """Names and values in a line."""
+    return ', '.join(f'{name} {number(value, 4)}' for name, value in gains.items())
+
+
+def target(tree: Tree) -> Mapping[str, float]:
+    """The gains that a design leads to, whose figures it states; `gains` may lie on the way."""
+    own: Mapping[str, float] = tree.get('gains') or {}
+    steps: Sequence[Mapping[str, float]] = tree.get('gain_steps') or [own]
+    return steps[-1]
+
+
 def _gains(axis: str, tree: Tree) -> str:
     gains = tree.get('gains')
     if not gains:
         because = _bare(axis, tree.get('gains_refused_because') or 'none were designed')
         return f'No new gains: {because}.'
-    listed = ', '.join(f'{name} {number(value, 4)}' for name, value in gains.items())
+    listed = listed_gains(gains) + (
+        '' if target(tree) == gains else f'; then, step by step, {listed_gains(target(tree))}')
     figures = tree.get('gain_figures') or {}
     changes = []
     for key in ('rise_time_s', 'overshoot_pct', 'rms_tracking_rad', 'worst_phase_margin_deg'):
@@ -347,9 +360,9 @@ def estimate(p: Tree, *, brief: bool = False) -> str:
     if std is not None:
         return with_error(p['value'], std)
     if brief:
-        return f'< {limits[1]:.2g}' if limits else f'{p["value"]:.4g} ± –'
+        return f'< {limits[1]:.2g}' if limits else f'{number(p["value"], 4)} ± –'
     below = f'; below {limits[1]:.2g}' if limits else ''
-    return f'{p["value"]:.4g} (no standard error{below})'
+    return f'{number(p["value"], 4)} (no standard error{below})'
 
 
 def joined(parts: Sequence[str]) -> str:
