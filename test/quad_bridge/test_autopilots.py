@@ -671,6 +671,29 @@ def test_what_is_sent_stays_within_its_limits(injection, most_deg):
     assert math.degrees(angles_of(sent.q)[1]) == pytest.approx(8.0)
 
 
+def test_the_mode_goes_back_where_the_line_breaks_just_when_it_was_asked_for():
+    """ArduPilot stays in it without set-points. This one answers no question for its mode, so that
+    each heartbeat that comes by itself allows one command.
+    """
+    means, asked, broken_s = BY_NUMBER[3].means, [], 0.0
+    flight = FlightState(**{**HOVER, 'mode': flown.LOITER})
+    mode, flown_by = flown.LOITER, Takeover(means, flight, dict)
+    flown_by.begin(0, f.Injection.ATTITUDE, NOW_S)
+    for k in range(600):
+        now_s = NOW_S + 0.02 * k
+        if now_s - broken_s > 5.0:
+            flight.attitude_s = flight.sticks_s = flight.height_s = now_s
+            if k % 50 == 0:
+                flight.mode, flight.beat_s = mode, now_s
+        flown_by.excite(0.0, now_s)
+        for frame in flown_by.poll(now_s):
+            if isinstance(frame, f.Command) and frame.command == flown.DO_SET_MODE:
+                mode, broken_s = int(frame.parameters[1]), broken_s or now_s
+                asked.append(mode)
+    assert asked == [flown.GUIDED_NOGPS, flown.LOITER]
+    assert flown_by.phase.value == 'idle'
+
+
 CALM = Inertial(0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 0.0, 1.0))
 
 

@@ -202,11 +202,8 @@ class Takeover:
         """Ask for the mode from before, until it is no longer ours or somebody's."""
         if self.phase is not Phase.LEAVING:
             return
-        waited_s, is_our_mode = now_s - self._since_s, self._flight.mode == self._means.mode
-        if not is_our_mode and waited_s > BEAT_S:
+        if self._flight.mode != self._means.mode and self._flight.beat_s > self._since_s + BEAT_S:
             self._go(Phase.IDLE, now_s)
-        elif waited_s > LEAVE_S and now_s - self._flight.beat_s > LEAVE_S:
-            self._go(Phase.IDLE, now_s)  # nobody hears: the autopilot's own loss of OFFBOARD acts
         else:
             out += self._switch.poll(self._means.mode, start.mode, now_s)
 
