@@ -266,7 +266,10 @@ class _Search:
         return self.best() is not best
 
     def add(self) -> bool:
-        """Build on the best structure, if an exchange has led there; whether that was better."""
+        """Build on the best structure, unless that was done; whether that was better.
+
+        An exchange may have led there, or an effect that changes next to nothing.
+        """
         best = self.best()
         labels = frozenset(best.fit.structure.labels)
         if len(labels) < MOST_EFFECTS and labels not in self.built:
