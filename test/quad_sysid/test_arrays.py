@@ -227,6 +227,10 @@ BAD = {
     'no dict of gains': ({'gains': [0.1]}, 'gains must be a dict of name and number: found list'),
     'gain of another axis': ({'gains': {'yaw.rate.kp': 1}}, 'gains: yaw.rate.kp is no gain of'),
     'gain is NaN': ({'gains': {'roll.rate.kp': np.nan}}, 'gains: roll.rate.kp must be a number'),
+    'no name of a gain': ({'gains': {3: 1}}, 'gains: 3 is no gain of roll: found 1; there are'),
+    'd_on between both': ({'gains': {'roll.rate.d_on': 0.5}}, 'must be measurement or error'),
+    'd_on is a list': ({'gains': {'roll.rate.d_on': ['error']}}, 'must be measurement or error'),
+    'gyro filter': ({'gains': {'sensor.gyro_filter_hz': -40}}, 'gyro_filter_hz must not be neg'),
     'angle.kp alone': ({'gains': {'roll.angle.kp': 5}}, 'gains: roll.rate.kp is missing'),
     'rate.kp alone': ({'gains': {'roll.rate.kp': 5}}, 'roll.angle.kp is missing; state it too; 0'),
     'negative limit': ({'gains': {'roll.rate.kp': 1, 'roll.angle.kp': 5, 'roll.rate.output_limit':

@@ -819,6 +819,18 @@ def test_a_motor_that_loses_thrust_late_in_the_training_is_an_event():
     assert search.known[alone].score == pytest.approx(reached, abs=1.0)
     assert search.exchange()
     assert {*search.best().fit.structure.labels} == {'step_event/torque', 'step_event/gain'}
+    with mock.patch.object(search, 'build_on') as build_on:  # beside what it led to, and once
+        assert not search.add()
+        search.built.add(frozenset(search.best().fit.structure.labels))
+        assert not search.add()
+    build_on.assert_called_once_with([search.best()])
+    # nor beside an effect that changes next to nothing
+    search = _Search(told.problem, candidates(told.problem, events)[0], told.search.base,
+                     lambda: '', lambda _: None)
+    with mock.patch.object(search, 'improves_little', return_value=True), \
+            mock.patch.object(search, 'build_on', wraps=search.build_on) as build_on:
+        search.run()
+    build_on.assert_called_once()
 
 
 def test_a_base_whose_gain_drifts_misses_what_comes_later():

@@ -196,6 +196,7 @@ def test_two_flights_with_a_reboot_between_them_in_one_log_follow_each_other(
         flight, tmp_path, text):
     """Their clocks overlap: sorted by time, every other sample would be of the other flight."""
     messages, content = ardupilot_messages(flight), b''
+    messages['BAT'][1][2, 0] = 1e12  # µs: a wrong stamp moves no flight
     for kp, turned in ((0.135, 1.0), (0.2, -1.0)):
         labels, rows = messages['RATE']
         mine = {**messages, 'RATE': (labels, np.column_stack([rows[:, :1], turned * rows[:, 1:]]))}

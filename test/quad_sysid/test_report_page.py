@@ -187,7 +187,8 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
             ('named', 'resonance', [('frequency', 6.0, 'Hz')], 'lightly damped mode of 6 Hz'),
             ('named', 'periodic_disturbance', [('amplitude', 3.0, 'rad/s²'), (
                 'frequency', 6.0, 'Hz')], 'disturbance of 3 rad/s² at 6 Hz'),
-            ('mode', 'mode:second_order', [('frequency', 6.0, 'Hz')], 'controller) at 6 Hz')):
+            ('mode', 'mode:second_order', [('frequency', 6.0, 'Hz')],
+             'damped mode (such as motors under a speed controller) at 6 Hz')):
         other = {**effect, 'name': name, 'kind': kind, 'parameters': [
             dict(zip(('name', 'value', 'unit'), p, strict=True)) for p in parameters]}
         assert f'{said} explains' in causes({**tree, 'effects': [other]})

@@ -94,7 +94,7 @@ def from_arrays(data: Table | IOData | None = None, *, u: Samples | None = None,
     their own. `units`: of `u`, `y`, `angle`, `reference`, `t` and the signals, a name or a factor
     to the contract's; rad/s, rad, s where none is given, and u beyond -0.5..0.5 is scaled.
     `gains`: those that flew, by the contract's names (`roll.rate.kp`, …) and SI: normalised
-    command per rad/s, which is `units.per_command` of the record times that of u.
+    command per rad/s, a gain in the unit of u times `units.per_command` of the record.
     `train`, `validate`: see Part; the rest of one is the other. NaN and masked values are missing.
     Raises BadInputError, one line that names the argument.
     """

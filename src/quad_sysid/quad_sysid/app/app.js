@@ -93,8 +93,8 @@ async function listJobs() {
 async function show(job) {
   const key = job.number + job.state + job.pages.join();
   if (key === known) return;
-  const goes_on = job.state === 'waiting' || job.state === 'running';
-  known = key; $('title').textContent = job.title + (goes_on ? ', ' + job.state : ''); $('hint').hidden = true;
+  const goesOn = job.state === 'waiting' || job.state === 'running';
+  known = key; $('title').textContent = job.title + (goesOn ? ', ' + job.state : ''); $('hint').hidden = true;
   const tabs = $('tabs'); tabs.replaceChildren();
   const view = guarded(async page => {
     const table = !page && job.kind === 'import' && job.state === 'done' && await columns(job);
@@ -108,7 +108,7 @@ async function show(job) {
     const tab = document.createElement('button'); tab.textContent = page ? 'page' : 'text';
     tab.onclick = () => view(page); tabs.append(tab);
   }
-  if (goes_on) { for (const id of ['frame', 'text', 'menus']) $(id).hidden = true; return; } // another job's
+  if (goesOn) { for (const id of ['frame', 'text', 'menus']) $(id).hidden = true; return; } // another job's
   await view(job.state === 'done' || job.state === 'no answer' ? job.pages[0] || '' : ''); await listFiles();
 }
 async function columns(job) { // the menus of a table whose columns were listed

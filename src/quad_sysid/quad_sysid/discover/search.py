@@ -208,7 +208,7 @@ class _Search:
         self.known: dict[frozenset[str], Scored] = {frozenset(): self.base}
         self.promising: set[str] = set()
         self.built: set[frozenset[str]] = set()
-        """The structures beside which one more effect was sought."""
+        """The structures beside which one more effect was sought, or need not be."""
 
     def run(self) -> None:
         """Add one effect at a time, then leave out, replace and add until nothing is better."""
@@ -223,7 +223,10 @@ class _Search:
             if not beam:
                 break
             beam[0] = self.store(both_orders(self.problem, beam[0].fit))
-            if beam[0].score <= before.score or self.improves_little(before.fit, beam[0].fit):
+            if beam[0].score <= before.score:
+                break
+            if self.improves_little(before.fit, beam[0].fit):
+                self.built.add(frozenset(beam[0].fit.structure.labels))
                 break
         while not self.halt() and (self.spare() or self.exchange() or self.add()):
             pass
@@ -271,7 +274,10 @@ class _Search:
         labels = frozenset(best.fit.structure.labels)
         if len(labels) < MOST_EFFECTS and labels not in self.built:
             self.build_on([best])
-        return self.best() is not best
+        better = self.best()
+        if better is not best and self.improves_little(best.fit, better.fit):
+            self.built.add(frozenset(better.fit.structure.labels))
+        return better is not best
 
     def gain(self, candidate: Score) -> float:
         """What a candidate adds to the score of a structure, as far as linear."""
@@ -349,9 +355,10 @@ class _Search:
         What remains may have been fitted before, to a lower maximum than the best one leads to.
         """
         best = self.best()
+        count = len(best.fit.structure.parts)
         for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
                                          tolerance_nats=ROUGH_NATS)
-                                 for index in range(len(best.fit.structure.parts))]):
+                                 for index in range(count if count > 1 else 0)]):
             if fit is not None:
                 self.store(fit)
         return self.best() is not best

@@ -137,12 +137,21 @@ def _in_turn(
     out, end_s = {name: np.array(own) for name, own in times.items()}, 0.0
     for k in range(len(ends) + 1):
         some = [own[flight[name] == k] for name, own in times.items()]
-        own_s = np.concatenate([part[np.isfinite(part)] for part in some])
-        shift_s = end_s + PAUSE_S - float(own_s.min()) if k else 0.0
+        own_s = np.concatenate([part[_near(part)] for part in some])
+        shift_s = end_s + PAUSE_S - float(own_s.min(initial=np.inf)) if k else 0.0
         for name, moved in out.items():
             moved[flight[name] == k] += shift_s
         end_s = float(own_s.max(initial=-np.inf)) + shift_s
     return out, len(ends)
+
+
+def _near(times: FloatArray) -> NDArray[np.intp]:
+    """Which of a kind's times, s, are not far from those about them, as wrong stamps are."""
+    from scipy.ndimage import median_filter  # slow to import, and few logs need it
+
+    rows = np.flatnonzero(np.isfinite(times))
+    away = times[rows] - median_filter(times[rows], 2 * ENOUGH + 1)
+    return np.asarray(rows[np.abs(away) < NEAR_S], dtype=np.intp)
 
 
 def _restarts(
@@ -150,12 +159,16 @@ def _restarts(
 ) -> list[int]:
     """Where the last message before each restart of the clock stands; a kind says it roughly."""
     spans = []
-    for name, own in times.items():
+    for name, stamps in times.items():
+        if not np.any(np.diff(stamps) < -RESTART_S):
+            continue
+        rows = _near(stamps)
+        own, at = stamps[rows], places[name][rows]
         for i in np.flatnonzero(np.diff(own) < -RESTART_S) + 1:
             before, after = own[max(i - ENOUGH, 0) : i], own[i : i + ENOUGH]
             if min(len(before), len(after)) == ENOUGH and (
                     np.median(after) < np.median(before) - RESTART_S):
-                spans.append((int(places[name][i - 1]), int(places[name][i])))
+                spans.append((int(at[i - 1]), int(at[i])))
     out: list[tuple[int, int]] = []
     for last, first in sorted(spans, key=lambda span: span[1]):
         if out and last < out[-1][1]:  # the same one

@@ -46,7 +46,7 @@ def stated(gains: Mapping[str, Any], axes: Sequence[str], where: str) -> dict[st
     out: dict[str, float] = {}
     for name, value in gains.items():
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
+            near = difflib.get_close_matches(str(name), known, n=1)
             raise BadInputError(where, f'{name} is no gain of {", ".join(axes)}', value,
                                 f'did you mean {near[0]}?' if near else
                                 f'there are {", ".join(sorted(known))}')
@@ -78,13 +78,17 @@ def _whole(axis: str, gains: Mapping[str, float], where: str) -> dict[str, float
 
 def _number(name: str, value: Any, where: str) -> float:
     """One gain as a number."""
-    if name.endswith('.d_on') and value in D_ON:
-        return D_ON[value]
+    d_on = name.endswith('.d_on')
     try:
-        number = float(value)
+        number = float(D_ON.get(value, value) if d_on else value)
     except (TypeError, ValueError):
         number = math.nan
-    if not math.isfinite(number):
-        words = f'be {" or ".join(D_ON)}' if name.endswith('.d_on') else 'be a number'
-        raise BadInputError(where, f'{name} must {words}', repr(value))
-    return number
+    if d_on and number not in D_ON.values():
+        must = f'must be {" or ".join(D_ON)}'
+    elif not math.isfinite(number):
+        must = 'must be a number'
+    elif name.endswith('_hz') and number < 0.0:
+        must = 'must not be negative'
+    else:
+        return number
+    raise BadInputError(where, f'{name} {must}', repr(value))

@@ -93,7 +93,7 @@ def import_log(log: ForeignLog, out: Path, grid_hz: float | None = None) -> Impo
 
 @dataclass(frozen=True)
 class OnGrid:
-    """A log on the cycles of its rates."""
+    """A log on the cycles of its rates, or of its angles without them."""
 
     record: Record
     grid: Cycles
@@ -126,7 +126,7 @@ def uneven(notes: Sequence[str]) -> list[str]:
 def record_of(
     log: ForeignLog, grid_hz: float | None = None, dt: float | None = None
 ) -> OnGrid:
-    """The record of a log.
+    """A log on the cycles of its rates, or of its angles without them.
 
     `grid_hz` and `dt` as in clock.cycles. Raises BadInputError where the log holds too little.
     """

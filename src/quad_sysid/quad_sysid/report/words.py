@@ -42,7 +42,7 @@ PLAIN = {
     UNLISTED: 'a cause that was not compared',
     'mode:second_lag': 'a second lag of the motors', 'mode:lead': 'motors that overshoot',
     'mode:rotor_lead': "a lead by the rotors' own reaction",
-    'mode:second_order': 'a damped mode (as of motors under a speed controller)',
+    'mode:second_order': 'a damped mode (such as motors under a speed controller)',
     'mode:slow_state': 'a spring on a damper, or a load that relaxes',
     'mode:swinging': 'something that swings', 'mode:hysteresis': 'friction that builds up',
     'mode:loose_load': 'a load with play',
