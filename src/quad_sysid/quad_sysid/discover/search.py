@@ -223,10 +223,7 @@ class _Search:
             if not beam:
                 break
             beam[0] = self.store(both_orders(self.problem, beam[0].fit))
-            if beam[0].score <= before.score:
-                break
-            if self.improves_little(before.fit, beam[0].fit):
-                self.built.add(frozenset(beam[0].fit.structure.labels))
+            if beam[0].score <= before.score or self.improves_little(before.fit, beam[0].fit):
                 break
         while not self.halt() and (self.spare() or self.exchange() or self.add()):
             pass
@@ -269,7 +266,11 @@ class _Search:
         return self.best() is not best
 
     def add(self) -> bool:
-        """Build on the best structure, if an exchange has led there; whether that was better."""
+        """Build on the best structure, unless that was done; whether that was better.
+
+        An exchange may have led there, or an effect that changes next to nothing: what another one
+        does may show only beside it. One look beyond is enough.
+        """
         best = self.best()
         labels = frozenset(best.fit.structure.labels)
         if len(labels) < MOST_EFFECTS and labels not in self.built:
