@@ -394,7 +394,9 @@ def test_where_one_answers_late_the_others_are_waited_for_too():
     times_ns = iter(range(0, 10**10, 10**8))
     while not asked.complete:
         asked.due(next(times_ns))
+    asked.take(f.ParamValue('RCMAP_THROTTLE', math.nan, 1, 0, 2))  # which is no integer
     asked.take(f.ParamValue('FRAME_CLASS', 1.0, 1, 0))
+    assert asked.values == {'FRAME_CLASS': 1.0}
     assert not asked.complete
     assert 'FRAME_TYPE' in {request.name for _ in range(40) for request in
                             asked.due(next(times_ns))}  # fmt: skip

@@ -76,9 +76,12 @@ class Parameters:
         is_known_kind = value.kind == REAL32 or value.kind in _INTEGERS
         if not is_known_kind or value.name not in self._names():
             return
+        decoded = number(value, bytewise=self._bytewise)
+        if not math.isfinite(decoded):  # an integer's may be, as it is on PX4's wire
+            return
         if self.complete and value.name in self._requested and value.name not in self.values:
             self._requested.clear()  # it answers now: the others may do so too
-        self.values[value.name] = number(value, bytewise=self._bytewise)
+        self.values[value.name] = decoded
 
     def due(self, now_ns: int) -> list[ParamRequestRead]:
         """The requests to send now."""
