@@ -535,7 +535,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
         browser.press(button)
     listed = "document.getElementById('jobs').innerText"
     browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
-    assert browser.run("""document.getElementById('title').innerText.endsWith('t, waiting')
+    browser.until("""document.getElementById('title').innerText.endsWith('t, waiting')
         && document.getElementById('frame').hidden""")
     browser.until("document.querySelector('[aria-label^=\"stop identify\"]')?.click() || true")
     browser.until(f"{listed}.includes('stopped')")
