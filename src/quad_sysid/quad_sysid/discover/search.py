@@ -63,6 +63,11 @@ class Scored:
     fit: Fit
     score: float
 
+    @property
+    def labels(self) -> frozenset[str]:
+        """The labels of its effects."""
+        return frozenset(self.fit.structure.labels)
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The names of its effects, sorted."""
@@ -237,7 +242,7 @@ class _Search:
         best = parents[0].score
         ahead: list[tuple[float, Fit, Score]] = []
         for parent in parents:
-            self.built.add(frozenset(parent.fit.structure.labels))
+            self.built.add(parent.labels)
             ahead += [(parent.score + self.gain(candidate) - best, parent.fit, candidate)
                       for candidate in self.scores(
                           parent.fit, all_candidates=parent is parents[0])]
@@ -257,11 +262,12 @@ class _Search:
             smaller = self.known.get(frozenset(best.fit.structure.minus(index).labels))
             if smaller is None or smaller is self.base:
                 continue
-            scores = self.scores(smaller.fit, all_candidates=True)
-            gains = {score.part.effect.label: self.gain(score) for score in scores}
-            own = gains.get(part.effect.label)
-            ahead += [(self.gain(score) - own, smaller.fit, score) for score in scores
-                      if own is not None and score.part.effect.label != part.effect.label]
+            others = {score.part.effect.label: score
+                      for score in self.scores(smaller.fit, all_candidates=True)}
+            own = others.pop(part.effect.label, None)  # a fit of another process has copies
+            if own is not None:
+                ahead += [(self.gain(score) - self.gain(own), smaller.fit, score)
+                          for score in others.values()]
         self.fit_promising(ahead)
         return self.best() is not best
 
@@ -272,12 +278,11 @@ class _Search:
         does may show only beside it. One look beyond is enough.
         """
         best = self.best()
-        labels = frozenset(best.fit.structure.labels)
-        if len(labels) < MOST_EFFECTS and labels not in self.built:
+        if len(best.labels) < MOST_EFFECTS and best.labels not in self.built:
             self.build_on([best])
         better = self.best()
         if better is not best and self.improves_little(best.fit, better.fit):
-            self.built.add(frozenset(better.fit.structure.labels))
+            self.built.add(better.labels)
         return better is not best
 
     def gain(self, candidate: Score) -> float:
@@ -320,10 +325,11 @@ class _Search:
 
     def store(self, fitted: Fit) -> Scored:
         """Store a fit with its score, where it is the better one of its structure."""
-        labels, entry = frozenset(fitted.structure.labels), scored(fitted, self.prices)
-        if labels not in self.known or entry.score > self.known[labels].score:
-            self.known[labels] = entry
-        return self.known[labels]
+        entry = scored(fitted, self.prices)
+        known = self.known.get(entry.labels)
+        if known is None or entry.score > known.score:
+            self.known[entry.labels] = known = entry
+        return known
 
     def best(self) -> Scored:
         """The most probable structure."""
@@ -357,9 +363,10 @@ class _Search:
         """
         best = self.best()
         count = len(best.fit.structure.parts)
+        if count < 2:  # the base is known
+            return False
         for fit in side_by_side([partial(fit_without, self.problem, best.fit, index,
-                                         tolerance_nats=ROUGH_NATS)
-                                 for index in range(count if count > 1 else 0)]):
+                                         tolerance_nats=ROUGH_NATS) for index in range(count)]):
             if fit is not None:
                 self.store(fit)
         return self.best() is not best

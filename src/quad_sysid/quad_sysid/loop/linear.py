@@ -202,13 +202,14 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         coefficients = _fitted(x, steady, inputs, later)
         first = m if isinstance(effect, Linear) else 0  # whose states are linear as they are
         rows[first:] = coefficients[first:]
-        keep = np.stack([(after(x + step[:, None], s) - later)[:m] / SMALL
-                         for step in SMALL * np.eye(m)], axis=1) if m else np.zeros((0, 0, n))
-        if not first and m and np.allclose(keep, keep[..., :1], rtol=1e-6, atol=1e-9):
-            # a fit would give the angle what a linear memory makes of the bend of its inputs
-            rows[:m, :m] = keep[..., 0]
-            moved = later[:m] - rows[:m, :m] @ (x - steady[:, None])
-            rows[:m, m:] = _fitted(x[:0], steady[:0], inputs, moved)
+        if m and not first:
+            keep = np.stack([(after(x + step[:, None], s) - later)[:m] / SMALL
+                             for step in SMALL * np.eye(m)], axis=1)
+            if np.allclose(keep, keep[..., :1], rtol=1e-6, atol=1e-9):
+                # a fit would give the angle what a linear memory makes of the bend of its inputs
+                rows[:m, :m] = keep[..., 0]
+                moved = later[:m] - rows[:m, :m] @ (x - steady[:, None])
+                rows[:m, m:] = _fitted(x[:0], steady[:0], inputs, moved)
     return LinearTorque(m, rows, steady)
 
 
