@@ -531,9 +531,10 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
         document.getElementById('train').value = '3:12';
         document.getElementById('validate').value = '15:25';
         document.getElementById('frame').hidden = false;""")  # the page of another job
-    for button in ('identify', 'inspect'):  # the second waits in the queue
-        browser.press(button)
     listed = "document.getElementById('jobs').innerText"
+    browser.press('identify')  # two at once may be answered in either order
+    browser.until(f"{listed}.includes('running')")
+    browser.press('inspect')  # which waits in the queue
     browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
     browser.until("""document.getElementById('title').innerText.endsWith('t, waiting')
         && document.getElementById('frame').hidden""")
