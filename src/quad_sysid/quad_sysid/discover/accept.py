@@ -257,8 +257,7 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     claims: list[Claim] = []
     while answer.structure.parts:
         fitted = models.comparable(answer)
-        # what is left may not follow a flight, or be no better than the base
-        if not isinstance(fitted, Fit) or unseen.p_value(fitted, base) > LEVEL:
+        if not isinstance(fitted, Fit):  # what is left may not follow a flight
             break
         without = dict(zip(answer.structure.labels, models.each_left_out(answer), strict=True))
         # a fit of the search has its effects in the search's order
@@ -268,11 +267,12 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
         weak = {label: claim for label, claim in zip(fitted.structure.labels, claims, strict=True)
                 if not claim.accepted}
         if not weak:
-            chosen = fitted
+            if unseen.p_value(fitted, base) <= LEVEL:
+                chosen = fitted
             break
         # one at a time: each of two that stand for the same makes the other look needless
         weakest = max(weak, key=lambda label: (weak[label].p_value, -weak[label].reproducible))
-        if weakest == max(without, key=lambda label: without[label].total):
+        if weakest == min(without, key=ladder.rank):
             break  # the main cause, in whose place the others would stand
         answer = without[weakest]
     commanded = _commands_predict(problem, unseen, chosen)

@@ -182,7 +182,7 @@ class Ladder:
         whole = rungs[0].total - rungs[-1].total
         for new, (below, rung) in zip(self.new, pairwise(rungs), strict=False):
             if label in new:
-                return rungs[-1].explains_pct * (below.total - rung.total) / whole
+                return rungs[-1].explains_pct * ((below.total - rung.total) / whole)
         return 0.0
 
     @property
@@ -283,8 +283,9 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
     first = min((projection.project(plain, start, coarse=True) for start in starts),
                 key=lambda model: model.total)
     lowest = projection.project(plain, first.theta)
-    rungs = [Rung(lowest, projection.disagreement(lowest), 0.0)]
-    ladder = Ladder(models, tuple(rungs), projection.disagreement(lowest, later=True))
+    fitted = models.fitted(lowest)
+    rungs = [Rung(lowest, projection.disagreement(fitted), 0.0)]
+    ladder = Ladder(models, tuple(rungs), projection.disagreement(fitted, later=True))
     if ladder.negligible or lowest.total <= 0.0:
         return ladder
     climb, equal = _Climb(models, search, parts, lowest.total), np.ones_like(lowest.missed)
@@ -295,9 +296,8 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         step = climb.next(last.model, finer=last.explains_pct >= EXPLAINS)
         if step is None or last.model.total - step.total < NEGLIGIBLE * lowest.total:
             break
-        missed = projection.disagreement(step)
-        gained = last.total - float(np.sum(missed))
-        if gained >= NEGLIGIBLE * rungs[0].total and models.follows(step):
+        missed = projection.disagreement(models.fitted(step)) if models.follows(step) else None
+        if missed is not None and last.total - np.sum(missed) >= NEGLIGIBLE * rungs[0].total:
             climb.left_out.clear()
             both = np.array([rungs[0].missed, missed])
             percents = ladder.explained(both, ladder.drift, equal)[-1]
@@ -490,6 +490,7 @@ def resampled(
     of_window = block[np.clip(rows, 0, block.size - 1)]
     rungs = ladder.rungs[: ladder.last + 1]
     names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
+    fits = [ladder.models.fitted(rung.model) for rung in rungs]
     added = [{part.effect.name for part in rung.model.structure.parts if part.effect.label in new}
              for new, rung in zip(ladder.new, rungs[1:], strict=False)]
     counts: Counter[str] = Counter()
@@ -498,7 +499,7 @@ def resampled(
         if not reference.structure.parts or count < LEAST_SHARE * RESAMPLES:
             continue
         missed, drift = (np.array([rung.missed for rung in rungs]), ladder.drift) \
-            if reference is search.best else _missed(problem, reference, rungs)
+            if reference is search.best else _missed(Projection(problem, reference), fits)
         for draw in np.flatnonzero(leading == index):
             enough = ladder.sufficient(missed, drift, weights[draw, of_window])
             if enough is None and reference is search.best:  # as for the flight as it was
@@ -512,15 +513,7 @@ def resampled(
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
-def _missed(problem: Problem, reference: Fit,
-            rungs: Sequence[Rung]) -> tuple[FloatArray, FloatArray]:
-    """(rungs, windows) what each rung's structure misses of another reference; its `drift`."""
-    projection, models = Projection(problem, reference), []
-    for rung in rungs:
-        model = rung.model
-        structure = projection.structure(model.structure.parts)
-        physics = model.theta[: len(structure.specs) - projection.noise.size]
-        models.append(
-            projection.project(structure, np.r_[physics, projection.noise], coarse=True))
-    return (np.array([projection.disagreement(model) for model in models]),
-            projection.disagreement(models[0], later=True))
+def _missed(projection: Projection, rungs: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
+    """(rungs, windows) what each rung misses of another reference; its `drift`."""
+    return (np.array([projection.disagreement(rung) for rung in rungs]),
+            projection.disagreement(rungs[0], later=True))

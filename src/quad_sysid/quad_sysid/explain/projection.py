@@ -60,6 +60,8 @@ class Projected:
 class Projection:
     """What a reference does along the training segments, and how near smaller models come."""
 
+    states: Prediction | None = None
+    """Where runs start; None: the reference's states."""
     goal: FloatArray
     """(windows, length) rates of the reference's free runs less the measured ones, rad/s."""
 
@@ -75,10 +77,10 @@ class Projection:
         return replace(self.reference.structure, parts=tuple(parts))
 
     def run(self, structure: Structure, theta: FloatArray) -> Run:
-        """Runs from the reference's states, errors (windows, length) in rad/s, at most HUGE."""
+        """Runs from `states`, errors (windows, length) in rad/s, at most HUGE."""
         with np.errstate(all='ignore'):
             run = self.flight.run(structure, theta, self.windows,
-                                  prediction=self._from(structure))
+                                  prediction=self.states or self._from(structure))
         return run._replace(errors=np.clip(np.nan_to_num(run.errors, nan=HUGE), -HUGE, HUGE))
 
     def _differences(self, structure: Structure, theta: FloatArray, run: Run,
@@ -158,29 +160,35 @@ class Projection:
         precision = self.problem.precision(structure, self.problem.sizes(structure))
         return np.asarray(np.linalg.cholesky(precision[:count, :count]).T)
 
-    def disagreement(self, model: Projected, *, later: bool = False) -> FloatArray:
+    def disagreement(self, fitted: Fit, *, later: bool = False) -> FloatArray:
         """(windows,) what a model misses of windows that its parameters have not seen.
 
-        Every third window is run with what the others give, one step from the parameters of all: a
-        curve that holds only where it was fitted explains less of the rest. Windows of one part
-        lie all over the training, for an event shows only after it. later: a part is a third of
-        the training's time, so that what drifts is missed as in a later flight.
+        It runs from its own estimates, as where its error is measured: its disturbance may hold
+        what it lacks. Every third window is run with what the others give, one step from the
+        parameters of all: a curve that holds only where it was fitted explains less of the rest.
+        Windows of one part lie all over the training, for an event shows only after it. later: a
+        part is a third of the training's time, so that what drifts is missed as in a later flight.
         """
-        count = self.windows.count
-        if count < PARTS or not model.total:  # too short to be cut, or the reference itself
-            return model.missed
+        count, structure = self.windows.count, self.structure(fitted.structure.parts)
+        if fitted is self.reference:
+            return np.zeros(count)
+        theta = np.concatenate([fitted.theta[: -self.noise.size], self.noise])
+        missed = self._on(np.full(count, True), fitted.prediction).project(
+            structure, theta, most=0).missed
+        if count < PARTS:  # too short to be cut
+            return missed
         part = np.arange(count) * PARTS // count if later else np.arange(count) % PARTS
-        missed = np.empty(count)
         for k in range(PARTS):
             inside = part == k
-            other = self._on(~inside).project(model.structure, model.theta, most=1)
-            as_they_are = self._on(inside).project(model.structure, other.theta, most=0)
-            missed[inside] = as_they_are.missed
+            other = self._on(~inside, fitted.prediction).project(structure, theta, most=1)
+            missed[inside] = self._on(inside, fitted.prediction).project(
+                structure, other.theta, most=0).missed
         return missed
 
-    def _on(self, which: NDArray[np.bool_]) -> Projection:
-        """The same on some of the windows (windows,)."""
+    def _on(self, which: NDArray[np.bool_], states: Prediction) -> Projection:
+        """The same on some of the windows (windows,), from other states."""
         part = copy(self)
+        part.states = states
         part.windows = Windows(self.windows.starts[which], self.windows.length)
         part.goal = self.goal[which]
         return part
