@@ -503,6 +503,7 @@ def test_a_flight_is_dropped_looked_at_and_a_window_drawn_by_the_mouse(server, b
     browser.run("document.querySelector('#jobs button').isTheSame = true")
     browser.press('columns')
     browser.until("!document.getElementById('menus').hidden")
+    browser.choose('my_flight')  # the menus are those of the table all the same
     browser.run("""(() => {
         const one = document.querySelector('tr[data-column=wobble] select');
         one.value = 'rate, roll'; one.onchange();
@@ -532,8 +533,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
         document.getElementById('validate').value = '15:25';
         document.getElementById('frame').hidden = false;""")  # the page of another job
     listed = "document.getElementById('jobs').innerText"
-    browser.press('identify')  # two at once may be answered in either order
-    browser.until(f"{listed}.includes('running')")
+    browser.press('identify')
     browser.press('inspect')  # which waits in the queue
     browser.until(f"{listed}.includes('running') && {listed}.includes('waiting')")
     browser.until("""document.getElementById('title').innerText.endsWith('t, waiting')
@@ -543,6 +543,7 @@ def test_a_flight_is_identified_stopped_compared_and_its_gains_are_exported(serv
     browser.until(shown.format('inspect.html'))
     browser.press('identify')
     browser.until(shown.format('report.html'))
+    assert browser.run('history.length') == 2  # Back brings no other job's page below its title
     model = next(one for one in server.folder.rglob('model.json'))
     shutil.copytree(model.parent, server.folder / 'older')
     browser.press('inspect')  # with the next job the list of files is renewed
@@ -651,6 +652,24 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     assert browser.fits(390)
     drop(plain_bag)  # a folder
     browser.until(f"{said}.includes('.mcap')")
+    browser.choose('a_2.csv')
+    drop(tmp_path / 'notes.doc')
+    browser.until(f"{said}.includes('notes.doc: no log')")
+    assert browser.run("document.querySelectorAll('#files :checked').length") == 1
+    browser.run("dispatchEvent(new DragEvent('drop', {dataTransfer: new DataTransfer()}))")
+    assert browser.run(f"{said}.includes('no log was dropped')")
+    (tmp_path / 'flights' / 'copied.csv').write_text('t\n')
+    browser.run("document.dispatchEvent(new Event('visibilitychange'))")
+    browser.until("document.getElementById('files').innerText.includes('copied.csv')")
+    # the answer to the first of two requests is the later one
+    browser.run("""new Promise(both => { const own = fetch; let asked = 0, answered = 0;
+        window.fetch = async (path, more) => {
+            const post = more && ++asked, answer = await own(path, more);
+            if (post === 1) await new Promise(later => setTimeout(later, 1000));
+            if (post && ++answered === 2) setTimeout(both, 300);
+            return answer; };
+        for (const id of ['look', 'inspect']) document.getElementById(id).click(); })""")
+    browser.until("document.getElementById('title').innerText.startsWith('inspect')")
     process.end()
     browser.until(f"{said}.includes('start quad-sysid app again')")
     browser.errors.clear()  # that the connection was refused

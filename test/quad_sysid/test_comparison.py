@@ -48,6 +48,8 @@ def test_where_one_flight_alone_has_an_effect_it_is_not_said_that_nothing_change
     assert '--no-effects' not in str(compare(before, [flight('d', gain=2.0)]))
     without_model = compare(flight('a', gain=1.0, trim=0.0), [flight('b', trim=0.0)])
     assert '  nothing that both have changed, at' in str(without_model)
+    assert str(without_model).count('\n  only the trim could be compared\n') == 1
+    assert 'only the trim' not in said
 
 
 def test_without_effects_the_base_that_takes_up_what_they_do_is_compared(rubbed_answer):

@@ -372,6 +372,7 @@ STILL = {**FOUR, 'rate': ('bat',), 'angle': (), 'battery': None}
         ({**STILL, 'mixer': 'auto'}, 'does not show what the motors do'),
         ({**FOUR, 'units': {'m1': '4'}}, 'column m1'),
         ({'gains': {'pitch.rate.kq': '1'}}, 'of pitch: found 1; did you mean pitch.rate.k'),
+        ({'gains': {'yaw.rate.kp': '1'}}, 'of pitch: found 1; leave it out, or add its axis'),
         ({'file': Path('absent.csv')}, 'absent.csv: cannot be read')],
 )
 def test_wrong_options_end_in_one_line(options, refused, change, words):

@@ -205,8 +205,7 @@ def _changes(reference: Flight, other: Flight) -> list[Change]:
 def _change(axis: str, name: str, a: Estimate | None, b: Estimate | None) -> Change:
     from scipy.stats import t  # slow to import
 
-    parameter = a or b
-    unit = parameter.unit if parameter else ''
+    unit = next(one.unit for one in (a, b) if one)
     change = Change(axis, name, unit, a.value if a else None, b.value if b else None)
     if a is None or b is None:
         return change
@@ -231,10 +230,9 @@ def _marked(changes: Sequence[Change]) -> tuple[Change, ...]:
     """Mark the changes at LEVEL for all of them together."""
     from quad_sysid.fleets.drift import holm  # slow to import
 
-    tested = [(i, c.p_value) for i, c in enumerate(changes) if c.p_value is not None]
-    marks = holm([p for _, p in tested], LEVEL)
-    marked = {i for (i, _), mark in zip(tested, marks, strict=True) if mark}
-    return tuple(replace(c, changed=i in marked) for i, c in enumerate(changes))
+    marks = iter(holm([c.p_value for c in changes if c.p_value is not None], LEVEL))
+    return tuple(c if c.p_value is None else replace(c, changed=next(marks))
+                 for c in changes)
 
 
 def add(commands: Commands) -> None:
@@ -312,11 +310,14 @@ def lines(comparison: Comparison) -> Iterator[str]:
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         one_sided = [c for c in changes if (c.reference is None) != (c.value is None)]
         alone = [f'{c.axis} {c.name}' for c in one_sided if '.' in c.name]
+        compared = {c.name for c in changes if c.p_value is not None}
         if changed:
             yield f'  changed: {", ".join(changed)}'
-        elif any(c.p_value is not None for c in changes):
+        elif compared:
             yield (f'  nothing {"that both have " if one_sided else ""}changed, at a level of '
                    f'{LEVEL:.0%} for all comparisons together')
+        if compared == {'trim'}:
+            yield '  only the trim could be compared'
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
             doubtful = [c.name for c in changes if c.changed and '.' not in c.name

@@ -360,7 +360,8 @@ def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any],
         return names, _flown(flights, names, train, validate, show)
     if isinstance(flights, Record | str | Path) or len(names) > 1:
         raise BadInputError('identify', 'takes flights or arrays, not both, and arrays of one '
-                            'axis', ', '.join(names) or str(flights))
+                            'axis', ', '.join(names) or str(flights), 'a flight holds its signals '
+                            'and gains: hand in no more with it; of arrays name one axis')
     names = names or AXES[:1]
     return names, records_of(flights, **arrays, train=train, validate=validate, axis=names[0])
 

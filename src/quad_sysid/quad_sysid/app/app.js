@@ -1,7 +1,7 @@
 // The page of quad-sysid app: files, jobs, and the report of the chosen job in a sandboxed frame.
 'use strict';
 const $ = id => document.getElementById(id);
-const chosen = new Set(); let shown = 0, mode = 'zoom', files = [], known = '';
+const chosen = new Set(); let shown = 0, mode = 'zoom', files = [], known = '', ended = null, last = Promise.resolve();
 const say = text => { $('say').textContent = text; };
 async function ask(path, options) {
   let answer;
@@ -35,18 +35,19 @@ async function listFiles() {
   if (note) list.append(Object.assign(document.createElement('li'), {textContent: note}));
 }
 const upload = guarded(async picked => {
-  const done = [], most = +$('drop').dataset.most; chosen.clear(); clearWindows();
+  const done = [], paths = [], most = +$('drop').dataset.most;
   for (const file of picked) {
     say('reading in ' + file.name);
     try {
       // a browser loses the answer of a server that hangs up while it sends
       if (file.size > most) throw new Error(file.name + ': larger than ' + (most / 1e6).toFixed(0) + ' MB: start quad-sysid app with a larger --most-mb');
       const answer = await ask('/upload?name=' + encodeURIComponent(file.name), {method: 'POST', body: file});
-      const path = (await answer.json()).path; chosen.add(path);
+      const path = (await answer.json()).path; paths.push(path);
       done.push(path === file.name ? path + ' is there' : file.name + ' is there as ' + path);
     } catch (e) { done.push(e.message); }
   }
-  say(done.join('; ') || 'a folder without a log');
+  say(done.join('; ') || 'no log was dropped: drop files, or a folder that holds them');
+  if (paths.length) { chosen.clear(); paths.forEach(path => chosen.add(path)); clearWindows(); }
   await listFiles();
 });
 async function within(entry) { // the files of what is dropped: of a bag, which is a folder, those with data
@@ -55,13 +56,14 @@ async function within(entry) { // the files of what is dropped: of a bag, which 
   for (let some; (some = await new Promise((take, fail) => reader.readEntries(take, fail))).length;) found.push(...some);
   return (await Promise.all(found.filter(one => one.isFile && one.name !== 'metadata.yaml').map(within))).flat();
 }
-const start = (kind, given) => guarded(async () => {
-  const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value, scale: $('scale').value.trim()};
-  if (given) body.columns = given();
+const start = (kind, given) => () => {
+  const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value, scale: $('scale').value.trim(), ...(given && given())};
   if (kind === 'identify') { body.train = $('train').value.trim(); body.validate = $('validate').value.trim(); }
-  const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
-  shown = job.number; known = ''; say(job.title + ' was put into the queue'); await listJobs();
-});
+  last = last.then(guarded(async () => { // one after the other: the answer to an earlier one may come later
+    const job = await (await ask('/jobs', {method: 'POST', body: JSON.stringify(body)})).json();
+    shown = job.number; known = ''; say(job.title + ' was put into the queue'); await listJobs();
+  }));
+};
 const rows = new Map(); // the line of each job: never made anew, or a press and the keyboard's place on it were lost
 function row(job) {
   const item = document.createElement('li'), open = document.createElement('button'), state = document.createElement('span');
@@ -73,6 +75,7 @@ function row(job) {
   const bar = document.createElement('progress'); bar.setAttribute('aria-label', 'progress of ' + job.title);
   return {item, state, stop, bar};
 }
+const goesOn = job => job.state === 'waiting' || job.state === 'running';
 async function listJobs() {
   const jobs = await (await ask('/jobs')).json();
   if (!shown && jobs.length) shown = jobs[0].number; // a new tab begins with the latest
@@ -89,30 +92,31 @@ async function listJobs() {
     if (job.left > 0) bar.value = job.seconds / (job.seconds + job.left); else bar.removeAttribute('value');
     if (job.number === shown) await show(job);
   }
+  const now = jobs.filter(job => !goesOn(job)).map(job => job.number).join();
+  if (now !== ended) { ended = now; await listFiles(); } // what it wrote, whichever is shown
 }
 async function show(job) {
   const key = job.number + job.state + job.pages.join();
   if (key === known) return;
-  const goesOn = job.state === 'waiting' || job.state === 'running';
-  known = key; $('title').textContent = job.title + (goesOn ? ', ' + job.state : ''); $('hint').hidden = true;
+  known = key; $('title').textContent = job.title + (goesOn(job) ? ', ' + job.state : ''); $('hint').hidden = true;
   const tabs = $('tabs'); tabs.replaceChildren();
   const view = guarded(async page => {
-    const table = !page && job.kind === 'import' && job.state === 'done' && await columns(job);
-    $('frame').hidden = !page; $('text').hidden = !!page || table; $('menus').hidden = !table;
-    if (table) return;
-    delete $('frame').dataset.traces;
-    if (page) $('frame').src = '/jobs/' + job.number + '/' + page;
-    else $('text').querySelector('pre').textContent = await (await ask('/jobs/' + job.number + '/text')).text();
+    const text = page ? '' : await (await ask('/jobs/' + job.number + '/text')).text();
+    if (key !== known) return; // another job was chosen meanwhile
+    const table = !page && job.kind === 'import' && job.state === 'done' && columns(job, text);
+    const frame = $('frame').cloneNode(); // in a frame that stays, the browser's Back would bring another job's page
+    delete frame.dataset.traces; frame.src = page ? '/jobs/' + job.number + '/' + page : 'about:blank';
+    frame.hidden = !page; $('text').hidden = !!page || table; $('menus').hidden = !table;
+    $('frame').replaceWith(frame); $('text').querySelector('pre').textContent = text;
   });
   for (const page of [...job.pages, '']) {
     const tab = document.createElement('button'); tab.textContent = page ? 'page' : 'text';
     tab.onclick = () => view(page); tabs.append(tab);
   }
-  if (goesOn) { for (const id of ['frame', 'text', 'menus']) $(id).hidden = true; return; } // another job's
-  await view(job.state === 'done' || job.state === 'no answer' ? job.pages[0] || '' : ''); await listFiles();
+  if (goesOn(job)) { for (const id of ['frame', 'text', 'menus']) $(id).hidden = true; return; } // another job's
+  await view(job.state === 'done' || job.state === 'no answer' ? job.pages[0] || '' : '');
 }
-async function columns(job) { // the menus of a table whose columns were listed
-  const text = await (await ask('/jobs/' + job.number + '/text')).text();
+function columns(job, text) { // the menus of a table whose columns were listed
   let found; try { found = JSON.parse(text); } catch (e) { return false; }
   const axes = ['roll', 'pitch', 'yaw'], roles = [['', '']];
   for (const option of Object.keys(found.units)) {
@@ -137,7 +141,7 @@ async function columns(job) { // the menus of a table whose columns were listed
     unit(column.unit); role.onchange = () => unit('');
   }
   if (found.refused) say('as guessed the import refuses it: ' + found.refused);
-  $('take').onclick = start('import', () => [...body.rows].map(row => [row.dataset.column, ...[...row.querySelectorAll('select')].map(s => s.value)]));
+  $('take').onclick = start('import', () => ({files: job.files, columns: [...body.rows].map(row => [row.dataset.column, ...[...row.querySelectorAll('select')].map(s => s.value)])}));
   return true;
 }
 const span = id => { const m = /^\s*([\d.]+)\s*:\s*([\d.]+)\s*$/.exec($(id).value); return m && [+m[1], +m[2]]; };
@@ -159,17 +163,18 @@ addEventListener('message', e => {
 });
 for (const id of ['train', 'validate']) $(id).oninput = tell;
 document.querySelectorAll('input[name=mode]').forEach(one => { one.onchange = () => { mode = one.value; tell(); }; });
-$('file').onchange = () => upload([...$('file').files]);
+$('file').onchange = () => { upload([...$('file').files]); $('file').value = ''; }; // or the same file again were no change
 const drop = $('drop');
 for (const name of ['dragover', 'dragleave', 'drop']) addEventListener(name, e => {
   e.preventDefault(); drop.classList.toggle('over', name === 'dragover');
   if (name === 'drop') {
     const all = [...e.dataTransfer.items].map(one => one.webkitGetAsEntry()).filter(Boolean);
-    if (all.length) guarded(async () => upload((await Promise.all(all.map(within))).flat()))();
+    guarded(async () => upload((await Promise.all(all.map(within))).flat()))();
   }
 });
 for (const kind of ['look', 'columns', 'inspect', 'import', 'schedule', 'identify', 'compare', 'export']) $(kind).onclick = start(kind);
 $('copy').onclick = () => {
   getSelection().selectAllChildren($('text').querySelector('pre')); document.execCommand('copy'); say('copied');
 };
-guarded(listFiles)(); guarded(listJobs)(); setInterval(guarded(listJobs), 1000);
+document.onvisibilitychange = guarded(listFiles);
+guarded(listJobs)(); setInterval(guarded(listJobs), 1000);

@@ -24,8 +24,6 @@ SCALE = re.compile(r'[0-9]*\.?[0-9]+')
 
 Command = tuple[str, str, list[str]]
 """Title, program, arguments."""
-
-
 Free = Callable[..., str]
 """A path in the folder, by its stem and ending, that nothing has yet."""
 
@@ -119,7 +117,7 @@ def _answers(model: Path) -> dict[str, Any]:
         tree = json.loads(model.with_name('report.json').read_text(encoding='utf-8'))
         return dict(tree['axes'])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RefusedError('choose the model of a result') from error
+        raise RefusedError('choose a model that has its report.json beside it') from error
 
 
 def _identify(_: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> Command:

@@ -21,6 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from quad_sysid.app.folder import RefusedError
 from quad_sysid.arguments import NOT_ANSWERED
 from quad_sysid.axes import ALL_WORDS
 from quad_sysid.files import escaped
@@ -122,10 +123,10 @@ class Queue:
 
     def add(self, title: str, program: str, arguments: Sequence[str],
             after: Sequence[Job] = ()) -> Job:
-        """Put a job at the end and make its folder. ValueError where too many wait."""
+        """Put a job at the end and make its folder. RefusedError where too many wait."""
         with self._wake:
             if sum(job.state == 'waiting' for job in self._jobs.values()) >= MOST_WAITING:
-                raise ValueError(f'{MOST_WAITING} jobs wait already: stop some')
+                raise RefusedError(f'{MOST_WAITING} jobs wait already: stop some')
             number = self._last + 1
             while (folder := self._place / f'{number:03d}').exists():
                 number += 1

@@ -19,6 +19,7 @@ from typing import Any
 
 from starlette import responses
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -168,17 +169,12 @@ class App:
             if len(raw) > MOST_REQUEST:
                 raise RefusedError('too long')
         try:
-            request_tree = json.loads(raw)
-        except ValueError as error:
+            request_tree = dict(json.loads(raw))
+        except (ValueError, TypeError) as error:
             raise RefusedError('is not JSON') from error
-        if not isinstance(request_tree, dict):
-            raise RefusedError('is not JSON')
         *before, last = commands(self.folder, request_tree, self.queue.promised())
-        try:
-            jobs = [self.queue.add(*one) for one in before]
-            return _json(_job_tree(self.queue.add(*last, after=jobs)))
-        except ValueError as error:
-            raise RefusedError(str(error)) from error
+        jobs = [self.queue.add(*one) for one in before]
+        return _json(_job_tree(self.queue.add(*last, after=jobs)))
 
     def _job(self, request: Request) -> Job:
         job = self.queue.get(request.path_params['number'])
@@ -187,8 +183,6 @@ class App:
         return job
 
     async def _stop(self, request: Request) -> Response:
-        from starlette.concurrency import run_in_threadpool
-
         job = self._job(request)
         await run_in_threadpool(self.queue.stop, job)
         return _json(_job_tree(job))
@@ -219,7 +213,7 @@ def _job_tree(job: Job) -> dict[str, Any]:
     pages = [name for name in PAGES if (job.folder / name).is_file()]
     return {'number': job.number, 'title': job.title, 'state': job.state, 'doing': job.doing,
             'seconds': round(job.seconds, 1), 'left': job.remaining_s(), 'pages': pages,
-            'kind': job.arguments[0]}
+            'kind': job.arguments[0], 'files': job.arguments[1:2]}
 
 
 def _sealed(answer: Response) -> Response:

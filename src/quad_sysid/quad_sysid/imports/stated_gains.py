@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
 
 D_ON = {'measurement': 0.0, 'error': 1.0}
@@ -48,6 +49,8 @@ def stated(gains: Mapping[str, Any], axes: Sequence[str], where: str) -> dict[st
         if name not in known:
             near = difflib.get_close_matches(str(name), known, n=1)
             raise BadInputError(where, f'{name} is no gain of {", ".join(axes)}', value,
+                                'leave it out, or add its axis to these'
+                                if str(name).partition('.')[0] in {*EVERY} - {*axes} else
                                 f'did you mean {near[0]}?' if near else
                                 f'there are {", ".join(sorted(known))}')
         out[name] = _number(name, value, where)

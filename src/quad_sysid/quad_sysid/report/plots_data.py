@@ -13,7 +13,6 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.model.data import AxisData, bridged
 from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.pipeline.constants import COHERENT
-from quad_sysid.record import IOData
 from quad_sysid.report import canvas, zoom
 from quad_sysid.report.canvas import Picture
 from quad_sysid.units import COMMAND, scale
@@ -114,7 +113,8 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     w, values = coherence(train)
     panel.semilogx(w, values, color=canvas.AFTER, label='command to rate')
     reference = answer.rate_reference
-    if reference is not None and _finite(reference, train):
+    if reference is not None and all(
+            np.isfinite(reference[a:b]).all() for a, b in train.segments):
         with_reference = replace(train, r=reference)
         w, values = coherence(with_reference, joint=True)
         panel.semilogx(w, values, color=canvas.PINK, ls='--', label='reference to rate')
@@ -124,8 +124,9 @@ def coherences(answer: AxisAnswer) -> Picture | None:
     canvas.finish([panel], 'frequency, rad/s', 'squared coherence, 1')
     return Picture(
         'coherence', 'Coherence',
-        f'1 means that the rate follows the command and nothing else. Above {COHERENT:g} the '
-        'model is trusted; noise, wind and what is not linear pull it down.'
+        f'A model can be trusted above {COHERENT:g} (dotted) only; noise, wind and what is not '
+        'linear pull the coherence down. Feedback alone makes that of command and rate high: '
+        'where the reference is known, its line counts.'
         + trusted_words(answer),
         figure,
     )
@@ -142,10 +143,6 @@ def trusted_words(answer: AxisAnswer) -> str:
     """A sentence on the meaning of the shading, whose limits the answer states; '' without it."""
     band = answer.model.trusted_band_rad_s if answer.model else None
     return '' if band is None else ' Green: the trusted range.'
-
-
-def _finite(values: FloatArray, z: IOData) -> bool:
-    return all(bool(np.isfinite(values[a:b]).all()) for a, b in z.segments)
 
 
 DRAWINGS = (
