@@ -41,7 +41,7 @@ class LogFetch:
         self.reason = ''
         self.got = 0  # bytes that are there in order
         self.parts: list[f.LogData] = []
-        """What has come, next to each other, for the file; whoever writes it puts a new list there."""
+        """What has come, in order, for the file; whoever writes it puts a new list there."""
         self.there: Callable[[f.LogEntry], int] = lambda _: 0
         """How many bytes of this log an earlier fetch has written."""
         self._listed_so_far: dict[int, f.LogEntry] = {}
