@@ -81,11 +81,6 @@ class LogFetch:
             self._ends = self.phase is Phase.FETCHING
             self.phase, self.reason = Phase.FAILED, reason
 
-    def again(self, now_s: float) -> None:
-        """The line was lost and is there again: ask once more for what is missing."""
-        if self.busy:
-            self._due_s, self._tries = now_s, 0
-
     def take(self, frame: f.LogEntry | f.LogData, now_s: float) -> None:
         """Take an answer."""
         if isinstance(frame, f.LogEntry):
