@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from quad_bridge.errors import QuadBridgeError
 from quad_bridge.lockstep import clock
 from quad_bridge.nodes import ros_node
-from quad_bridge.nodes.conversion import event_message, parameters
+from quad_bridge.nodes.conversion import event_message, values_of
 from quad_bridge.nodes.diagnostics import diagnostic_array
 from quad_bridge.nodes.managed_node import MAX_BYTES, answered
 from quad_bridge.nodes.qos import EVENT, HEARD
@@ -93,7 +93,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
         if len(data) > MAX_BYTES:
             return
         event = deserialize_message(data, ParameterEvent)
-        values = parameters(event)
+        values = values_of(event.changed_parameters)
         bag, state = str(values.get('path', '')), values.get('state')
         earlier, stranger = info['source_timestamp'] < self._start_ns, self._stranger(event.node)
         if state == 'recording' and not earlier:
@@ -132,7 +132,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
     def _on_log(self, event: Any) -> None:
         """Take how far the bridge is with an autopilot's log; a stranger's word counts nothing."""
         if not self._stranger(event.node, AIRCRAFT_LOG, BRIDGE):
-            self._log = parameters(event)
+            self._log = values_of(event.changed_parameters)
 
     def _stranger(self, node: str, topic: str = '/logger/bag', by: str = LOGGER) -> str:
         """Why what was said on a topic may not be that node's; empty if it is."""

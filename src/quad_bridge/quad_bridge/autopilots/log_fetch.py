@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
 from quad_bridge.wire import frames as f
@@ -32,15 +32,6 @@ class Phase(Enum):
     FAILED = 'failed'
 
 
-@dataclass(frozen=True)
-class Part:
-    """Bytes of the log that lie next to those before."""
-
-    number: int
-    offset: int
-    data: bytes
-
-
 class LogFetch:
     """One log at a time. Times in s on a steady clock."""
 
@@ -49,8 +40,8 @@ class LogFetch:
         self.entry: f.LogEntry | None = None
         self.reason = ''
         self.got = 0  # bytes that are there in order
-        self.parts: list[Part] = []
-        """What has come, for the file; whoever writes it puts a new list there."""
+        self.parts: list[f.LogData] = []
+        """What has come, in order, for the file; whoever writes it puts a new list there."""
         self.there: Callable[[f.LogEntry], int] = lambda _: 0
         """How many bytes of this log an earlier fetch has written."""
         self._listed_so_far: dict[int, f.LogEntry] = {}
@@ -89,11 +80,6 @@ class LogFetch:
         if self.busy:
             self._ends = self.phase is Phase.FETCHING
             self.phase, self.reason = Phase.FAILED, reason
-
-    def again(self, now_s: float) -> None:
-        """The line was lost and is there again: ask once more for what is missing."""
-        if self.busy:
-            self._due_s, self._tries = now_s, 0
 
     def take(self, frame: f.LogEntry | f.LogData, now_s: float) -> None:
         """Take an answer."""
@@ -171,7 +157,7 @@ class LogFetch:
 
     def _add(self, data: bytes) -> None:
         number = self.entry.number if self.entry is not None else 0
-        self.parts.append(Part(number, self.got, data))
+        self.parts.append(f.LogData(number, self.got, data))
         self.got += len(data)
 
     def _finish(self) -> None:

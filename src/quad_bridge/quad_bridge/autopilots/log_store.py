@@ -6,8 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from quad_bridge.autopilots.log_fetch import Part
-from quad_bridge.wire.frames import LogEntry
+from quad_bridge.wire.frames import LogData, LogEntry
 
 
 class LogStore:
@@ -32,7 +31,7 @@ class LogStore:
                 return path.stat().st_size
         return 0
 
-    def write(self, parts: Iterable[Part]) -> None:
+    def write(self, parts: Iterable[LogData]) -> None:
         """Append what has come in order."""
         path, ready = self._path('.part'), [*parts]
         if ready:
@@ -46,7 +45,7 @@ class LogStore:
     def _path(self, suffix: str) -> Path:
         return self._folder / f'{self._name}{suffix}'
 
-    def _append(self, path: Path, parts: list[Part]) -> None:
+    def _append(self, path: Path, parts: list[LogData]) -> None:
         if self.fault:
             return  # what follows a part that is missing: the next fetch goes on from there
         try:

@@ -25,7 +25,6 @@ from rosbags.typesys.store import Typestore
 from quad_bridge.errors import BadInputError
 from quad_bridge.log.stored.files import (
     ORPHANS,
-    PACKED,
     ZSTD_MAGIC,
     address,
     plain_file,
@@ -33,6 +32,7 @@ from quad_bridge.log.stored.files import (
     recording_state,
     sqlite_fault,
     sqlite_remedy,
+    storage_in,
 )
 from quad_bridge.log.stored.records import MAGIC, Topic
 from quad_bridge.log.stored.scan import McapScan, Message
@@ -116,20 +116,10 @@ def _stored(message: Message, result: Contents, store: Typestore) -> bool:
 
 
 def storage_files(bag: Path) -> list[Path]:
-    """Storage files of a bag directory in the order of recording, or the given file.
-
-    Compressed files count unless their content lies beside them. Raises BadInputError without any.
-    """
+    """Storage files of a bag directory, or the given file; raises BadInputError without any."""
     if not bag.exists():
         raise BadInputError(str(bag), 'does not exist', remedy='check the path')
-    present = {p.name: p for p in (bag.iterdir() if bag.is_dir() else [bag])}
-    files = [
-        file
-        for name, file in present.items()
-        if name.removesuffix(PACKED).endswith(('.mcap', '.db3'))
-        and (not name.endswith(PACKED) or name.removesuffix(PACKED) not in present)
-    ]
-    files.sort(key=lambda p: (len(p.name), p.name))
+    files = storage_in(bag.iterdir() if bag.is_dir() else [bag])
     if not files:
         raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy='check the path')
     return files

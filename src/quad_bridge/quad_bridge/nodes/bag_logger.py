@@ -37,9 +37,6 @@ NUMBERS = {
     'reserve_mb': (200, 'MB of free disk without which no recording starts', (0, 1_000_000)),
 }
 """Integer parameters: default, description, range."""
-MAX_TEXTS = description.MAX_TEXTS
-MAX_BYTES = description.MAX_BYTES
-"""Largest message: a description, the largest of the contract, may have that size."""
 LOOK_S = 0.02  # between two looks for messages; the middleware holds seconds of them
 NAMES = ('folder', 'prefix', 'topics', 'autostart', 'managed', description.PARAMETER, *NUMBERS)
 
@@ -218,12 +215,12 @@ class BagLogger(ManagedNode):
 
     def _receive(self, topic: str, data: bytes, info: dict[str, Any]) -> None:
         recording = self._recording
-        if recording is not None and len(data) > MAX_BYTES:
+        if recording is not None and len(data) > description.MAX_BYTES:
             self.refused_large += 1
             recording.count_large()
             self.get_logger().warning(
-                f'{topic}: a message of {len(data)} bytes is not recorded, at most {MAX_BYTES} '
-                'are', throttle_duration_sec=5.0,
+                f'{topic}: a message of {len(data)} bytes is not recorded, at most '
+                f'{description.MAX_BYTES} are', throttle_duration_sec=5.0,
             )  # fmt: skip
             return
         if recording is None or (topic == description.TOPIC and not self._describes(data)):
@@ -251,7 +248,7 @@ class BagLogger(ManagedNode):
     def _describes(self, data: bytes) -> bool:
         """Whether a description counts; where it does not, that is said once."""
         if data not in self._descriptions:
-            if len(self._descriptions) >= MAX_TEXTS:  # a flood
+            if len(self._descriptions) >= description.MAX_TEXTS:  # a flood
                 return False
             text, own = deserialize_message(data, String).data, self._craft
             if own is None:

@@ -217,11 +217,6 @@ def _parameter_value(value: bool | float | str) -> ParameterValue:
     return ParameterValue(type=code, **{f'{name}_value': value})
 
 
-def parameters(event: ParameterEvent) -> dict[str, object]:
-    """`changed_parameters` as a plain mapping."""
-    return values_of(event.changed_parameters)
-
-
 def age_s(stamp: Time, now_ns: int) -> float:
     """Age of a message by its stamp, s; negative for a stamp in the future."""
     return 1e-9 * float(now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)

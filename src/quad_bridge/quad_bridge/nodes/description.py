@@ -58,7 +58,7 @@ def craft_of(value: str) -> Craft:
     return craft
 
 
-MAX_BYTES = 1_000_000  # largest description
+MAX_BYTES = 1_000_000  # largest description, and so the largest message of the contract
 MAX_TEXTS = 20
 """Different descriptions that are looked at: more than that is a flood."""
 

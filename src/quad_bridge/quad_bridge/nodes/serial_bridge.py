@@ -450,7 +450,7 @@ class SerialBridge(ManagedNode):
                 self._gains.polarity.craft = craft
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        values, age_s = conversion.parameters(event), self._age_s(event.stamp)
+        values, age_s = conversion.values_of(event.changed_parameters), self._age_s(event.stamp)
         with self._lock:
             end = self._relay.segment(values, age_s, clock().now_s())
             if self._relay.injection:
@@ -475,7 +475,8 @@ class SerialBridge(ManagedNode):
 
     def _on_gains(self, event: ParameterEvent) -> None:
         with contextlib.suppress(RefusedError):  # it is in the news
-            self._ask_gains(conversion.parameters(event), age_s=self._age_s(event.stamp))
+            values = conversion.values_of(event.changed_parameters)
+            self._ask_gains(values, age_s=self._age_s(event.stamp))
 
     def _age_s(self, stamp: Any) -> float:
         return conversion.age_s(stamp, self.get_clock().now().nanoseconds)

@@ -232,7 +232,7 @@ class SensorServices:
             self._report()
 
     def _on_bag(self, event: ParameterEvent) -> None:
-        if conversion.parameters(event).get('state') == 'recording':
+        if conversion.values_of(event.changed_parameters).get('state') == 'recording':
             self._sensors.want('recording')
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -144,7 +144,7 @@ class Aircraft:
         compiled = steps if self._effect is None else steps[:0]
         move_cycle(self.machine, self.cycle, np.array(motors.commands), compiled)
         if self._effect is not None:
-            self._effect_steps(steps)
+            self._effect_steps(self._effect, steps)
         self.cycle += 1
         self._turning = any(motors.commands)
 
@@ -163,29 +163,21 @@ class Aircraft:
             if self._effect is None:
                 run_cycles(self.machine, self.cycle, inputs[block], normals, log[block])
             else:
-                for row in range(block.stop - start):
-                    self._stepwise(row, inputs[block][row], normals[row], log[block][row])
+                rows = zip(inputs[block], normals, log[block], strict=True)
+                for cycle, (row, noise, out) in enumerate(rows, self.cycle):
+                    begin_cycle(self.machine, cycle, row, noise[:NORMALS_PER_CYCLE], out)
+                    self._effect_steps(self._effect, noise[NORMALS_PER_CYCLE:])
             self.cycle += block.stop - start
         return log
 
-    def _stepwise(self, row: int, inputs: FloatArray, noise: FloatArray, log: FloatArray) -> None:
-        """One cycle with the Python effect called before every physics step."""
-        begin_cycle(self.machine, self.cycle + row, inputs, noise[:NORMALS_PER_CYCLE], log)
-        self._effect_steps(noise[NORMALS_PER_CYCLE:])
-
-    def _effect_steps(self, normals: FloatArray) -> None:
+    def _effect_steps(self, effect: EffectFunction, normals: FloatArray) -> None:
+        """Physics steps, before each of which the Python effect says its torque."""
         for start in range(0, normals.size, NORMALS_PER_STEP):
-            extra = self._extra_torque()
+            values = np.empty(OBSERVED)
+            observe(self.machine, values)
+            extra = effect(float(values[0]), values[1:4], values[4:7], values[7:11],
+                           float(values[11]))
             advance_step(self.machine, normals[start : start + NORMALS_PER_STEP], extra)
-
-    def _extra_torque(self) -> FloatArray:
-        """Torque (3,), N m, of the Python effect at the present state."""
-        if self._effect is None:
-            return np.zeros(3)
-        values = np.empty(OBSERVED)
-        observe(self.machine, values)
-        return self._effect(float(values[0]), values[1:4], values[4:7], values[7:11],
-                            float(values[11]))
 
 
 def boot(profile: Profile, *, lockstep: bool = True) -> hil.Boot:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quad_bridge.craft import X
 from quad_bridge.gains.table import AXES
 from quad_bridge.si import GRAVITY_M_S2, FloatArray
 from quad_bridge.virtual.airframe import Airframe
@@ -17,12 +18,6 @@ from quad_bridge.virtual.effects import CrossAxisInput, Effects
 
 Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
-
-MIXER: FloatArray = np.array(
-    [[1.0, 1, 1, 1], [1.0, -1, 1, -1], [1.0, -1, -1, 1], [1.0, 1, -1, -1]]
-)
-"""(4, 4) m1..m4 from U1..U4 (contract, eq. (7) transposed)."""
-MIXER.setflags(write=False)
 
 
 class Plant(NamedTuple):
@@ -93,7 +88,7 @@ def torque_map(airframe: Airframe) -> FloatArray:
     """(3, 4) body torque per thrust of each motor, m: eq. (7), lever l sqrt(2)/2, yaw reaction."""
     lever = airframe.arm_m * math.sqrt(2.0) / 2.0
     levers = np.array([lever, lever, airframe.motors.torque_per_thrust_m])
-    return np.ascontiguousarray(MIXER.T[1:] * levers[:, None])
+    return np.ascontiguousarray(X.mixer.T[1:] * levers[:, None])
 
 
 def axis_gains(airframe: Airframe) -> FloatArray:

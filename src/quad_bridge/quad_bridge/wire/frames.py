@@ -338,7 +338,6 @@ class Version:
     board: int
     uid: int
     uid2: tuple[int, ...] = ()
-    capabilities: int = 0
 
 
 @dataclass(frozen=True)

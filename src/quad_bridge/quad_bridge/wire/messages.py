@@ -24,7 +24,7 @@ _UPDATED = {'accel': 0x07, 'gyro': 0x38, 'mag_gauss': 0x1C0}
 _PRESSURE = 0x200
 _MOST_HPA = 2000.0  # what is more is in Pa: PX4 1.16 sends the pressure so
 _TARGET = 'target_system target_component'
-_BODY_RATES = ('body_roll_rate', 'body_pitch_rate', 'body_yaw_rate')
+_FOLLOWED = 'time_boot_ms type_mask q body_roll_rate,body_pitch_rate,body_yaw_rate thrust'
 
 _ROWS: tuple[tuple[type, Any, str], ...] = (
     (f.Cycle, d.MAVLink_quad_cycle_message,
@@ -48,8 +48,18 @@ _ROWS: tuple[tuple[type, Any, str], ...] = (
     (f.LogRequestData, d.MAVLink_log_request_data_message, f'id ofs count {_TARGET}'),
     (f.LogRequestEnd, d.MAVLink_log_request_end_message, _TARGET),
 )  # fmt: skip
-"""Frame class, message, and the message's fields in the order of the frame's."""
-COPIED = {kind: (message, tuple(names.split())) for kind, message, names in _ROWS}
+"""Frame class, message, and the message's fields in the order of the frame's; `a,b` is a tuple."""
+_OF_AUTOPILOTS: tuple[tuple[type, Any, str], ...] = (
+    (f.Attitude, d.MAVLink_attitude_message,
+     'time_boot_ms roll,pitch,yaw rollspeed,pitchspeed,yawspeed'),
+    (f.AttitudeTarget, d.MAVLink_attitude_target_message, _FOLLOWED),
+    (f.SetAttitudeTarget, d.MAVLink_set_attitude_target_message, f'{_FOLLOWED} {_TARGET}'),
+    (f.LandedState, d.MAVLink_extended_sys_state_message, 'landed_state'),
+    (f.LocalPosition, d.MAVLink_local_position_ned_message, 'time_boot_ms x,y,z vx,vy,vz'),
+    (f.Version, d.MAVLink_autopilot_version_message, 'flight_sw_version board_version uid uid2'),
+)  # fmt: skip
+"""The same of messages that only other autopilots send, or take."""
+COPIED = {kind: (message, names.split()) for kind, message, names in (*_ROWS, *_OF_AUTOPILOTS)}
 
 _LAYOUT: dict[int, tuple[Any, tuple[tuple[str, int, int], ...]]] = {}
 
@@ -154,7 +164,7 @@ def _esc_telemetry(first: int) -> Callable[[Fields], f.RotorSpeeds]:
     return speeds
 
 
-def _columns(m: Fields, names: tuple[str, ...], unit: float = 1.0) -> f.Vector3:
+def _columns(m: Fields, names: tuple[str, ...], unit: float) -> f.Vector3:
     x, y, z = (m[name] * unit for name in names)
     return x, y, z
 
@@ -173,19 +183,16 @@ FROM_MESSAGE: dict[int, Callable[[Fields], f.Frame]] = {
 """Message id to the frame's constructor: what our own firmware and the bridge speak besides."""
 
 
-def _copies(frame: Callable[..., f.Frame], names: tuple[str, ...]) -> Callable[[Fields], f.Frame]:
-    return lambda m: frame(*[m[name] for name in names])
+def _copies(frame: Callable[..., f.Frame], names: str) -> Callable[[Fields], f.Frame]:
+    fields = [name.split(',') for name in names.split()]
+    return lambda m: frame(*[m[first] if not rest else tuple(m[name] for name in (first, *rest))
+                             for first, *rest in fields])  # fmt: skip
 
 
-FROM_MESSAGE |= {message.id: _copies(kind, names) for kind, (message, names) in COPIED.items()
+FROM_MESSAGE |= {message.id: _copies(kind, names) for kind, message, names in _ROWS
                  if message.id not in OFTEN}  # fmt: skip
 
 FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
-    d.MAVLINK_MSG_ID_ATTITUDE: lambda m: f.Attitude(
-        m['time_boot_ms'],
-        _columns(m, ('roll', 'pitch', 'yaw')),
-        _columns(m, ('rollspeed', 'pitchspeed', 'yawspeed')),
-    ),
     d.MAVLINK_MSG_ID_SCALED_IMU: _scaled_imu,
     d.MAVLINK_MSG_ID_SCALED_PRESSURE: lambda m: f.SlowSensors(
         1000 * m['time_boot_ms'], pressure_hpa=m['press_abs'],
@@ -208,21 +215,7 @@ FROM_AUTOPILOT: dict[int, Callable[[Fields], f.Frame]] = {
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_1_TO_4: _esc_telemetry(0),
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_5_TO_8: _esc_telemetry(4),
     d.MAVLINK_MSG_ID_ESC_TELEMETRY_9_TO_12: _esc_telemetry(8),
-    d.MAVLINK_MSG_ID_ATTITUDE_TARGET: lambda m: f.AttitudeTarget(
-        m['time_boot_ms'], m['type_mask'], m['q'], _columns(m, _BODY_RATES), m['thrust']
-    ),
-    d.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: lambda m: f.SetAttitudeTarget(
-        m['time_boot_ms'], m['type_mask'], m['q'], _columns(m, _BODY_RATES), m['thrust'],
-        m['target_system'], m['target_component'],
-    ),
-    d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda m: f.LandedState(m['landed_state']),
-    d.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda m: f.LocalPosition(
-        m['time_boot_ms'], _columns(m, ('x', 'y', 'z')), _columns(m, ('vx', 'vy', 'vz'))
-    ),
-    d.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda m: f.Version(
-        m['flight_sw_version'], m['board_version'], m['uid'], tuple(m['uid2']),
-        m['capabilities'],
-    ),
+    **{message.id: _copies(kind, names) for kind, message, names in _OF_AUTOPILOTS},
     d.MAVLINK_MSG_ID_LOG_DATA: lambda m: f.LogData(
         m['id'], m['ofs'], bytes(m['data'][: m['count']])
     ),
@@ -274,20 +267,12 @@ def _to_command(frame: f.Command) -> Any:
     )
 
 
-def _to_attitude_target(frame: f.SetAttitudeTarget) -> Any:
-    return d.MAVLink_set_attitude_target_message(
-        frame.time_ms, frame.target_system, frame.target_component, frame.mask, frame.q,
-        *frame.rates, frame.thrust,
-    )
-
-
 _TO_MESSAGE: dict[type, Callable[[Any], Any]] = {
     f.Heartbeat: _to_heartbeat,
     f.RcChannels: _to_rc_channels,
     f.Battery: _to_battery,
     f.SlowSensors: _to_slow_sensors,
     f.Command: _to_command,
-    f.SetAttitudeTarget: _to_attitude_target,
 }
 
 
@@ -299,5 +284,8 @@ def message_of(frame: f.Frame) -> Any:
     message, names = COPIED[type(frame)]
     values: Fields = {}
     for name, value in zip(names, vars(frame).values(), strict=True):
-        values[name] = value.encode('ascii') if isinstance(value, str) else value
+        if ',' in name:
+            values |= zip(name.split(','), value, strict=True)
+        else:
+            values[name] = value.encode('ascii') if isinstance(value, str) else value
     return message(**values)

@@ -86,7 +86,7 @@ class Storage:
         if path.is_file():
             self._unlisted([path])
             return [path]
-        files = storage_in(path)
+        files = stored.storage_in(path.iterdir())
         listed = self._metadata()
         if not files:
             raise without_storage(path, listed)
@@ -238,18 +238,6 @@ class Storage:
         if damaged:
             self.warnings.append(f'{source}: {damaged} compressed messages are damaged; left out')
         return [raw for raw in messages if raw]
-
-
-def storage_in(folder: Path) -> list[Path]:
-    """The storage files of a folder, the parts of a split bag in their order.
-
-    A compressed one beside its own content does not count: its recorder was killed meanwhile.
-    """
-    names = {p.name for p in folder.iterdir()}
-    return sorted((folder / name for name in names if name.endswith(STORAGE)
-                   and (not name.endswith(stored.PACKED)
-                        or name.removesuffix(stored.PACKED) not in names)),
-                  key=lambda p: (len(p.name), p.name))
 
 
 def without_storage(path: Path, listed: Collection[str] | None = None) -> BadInputError:

@@ -40,19 +40,6 @@ MOMENT = re.compile(
 """A date, a time of day, or both (ISO 8601; also day.month.year)."""
 
 
-@dataclass(frozen=True)
-class Text:
-    """Columns of a text by name; NaN where a row has no number."""
-
-    columns: dict[str, FloatArray]
-    lines: NDArray[np.int64]
-    """(n,) line number of each row, counted from 1."""
-    notes: tuple[str, ...]
-    """Repairs, in words."""
-    aliases: Mapping[str, str]
-    """Other names of a column: its own without the unit of a units' row."""
-
-
 @dataclass
 class _Layout:
     """How the text is laid out."""
@@ -68,8 +55,10 @@ class _Layout:
 
 def read_text_table(
     lines: Iterable[str], source: str, selected: Sequence[str] | None = None, first: int = 1
-) -> Text:
-    """Columns of a text with a header line; `#` starts a comment line, an empty cell is missing.
+) -> tuple[dict[str, FloatArray], NDArray[np.int64], tuple[str, ...], Mapping[str, str]]:
+    """Columns of a text, the lines of its rows (from 1), repairs in words, other names of columns.
+
+    It has a header line; `#` starts a comment line, an empty cell is missing.
 
     Cells are separated by commas, tabs, semicolons (numbers may then have decimal commas) or
     spaces. Dates and times of day become seconds. A last line without its end was cut off and is
@@ -111,8 +100,8 @@ def read_text_table(
     for name in selected or ():
         if not np.isfinite(columns[layout.aliases.get(name, name)]).any():
             raise BadInputError(f'{source}, line {row_index[0]}, column {name}', 'holds no number')
-    return Text({n: c for n, c in columns.items() if np.isfinite(c).any()}, row_index,
-                (*layout.notes, *text.notes), layout.aliases)
+    return ({n: c for n, c in columns.items() if np.isfinite(c).any()}, row_index,
+            (*layout.notes, *text.notes), layout.aliases)
 
 
 def no_column(where: str, absent: Sequence[str], names: Sequence[str]) -> BadInputError:

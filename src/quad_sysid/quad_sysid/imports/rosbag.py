@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from quad_sysid.bags.storage import storage_in, without_storage
+from quad_sysid.bags.storage import without_storage
+from quad_sysid.bags.stored.files import storage_in
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import read_by_library
@@ -56,7 +57,7 @@ def _opened(path: Path, messages: Path | None) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    if path.is_dir() and not storage_in(path):
+    if path.is_dir() and not storage_in(path.iterdir()):
         raise without_storage(path)
     store = get_typestore(Stores.ROS2_JAZZY)
     with read_by_library(path, 'is not a whole bag', MEND):

@@ -327,8 +327,8 @@ def read_csv(
     lines: Iterable[str], source: str, names: Sequence[str] | None = None, first: int = 1
 ) -> Table:
     """The table of a text, see delimited.py."""
-    read = read_text_table(lines, source, names, first)
-    return Table(source, read.columns, lines=read.lines, notes=read.notes, aliases=read.aliases)
+    columns, rows, notes, aliases = read_text_table(lines, source, names, first)
+    return Table(source, columns, lines=rows, notes=notes, aliases=aliases)
 
 
 def read_mat(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:

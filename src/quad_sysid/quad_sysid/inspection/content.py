@@ -39,6 +39,7 @@ from quad_sysid.motor_layout import (
     places,
 )
 from quad_sysid.pipeline.advice import RICHEST
+from quad_sysid.pipeline.answer import Use
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import io_data
 from quad_sysid.pipeline.evaluate import flown_spans
@@ -127,16 +128,6 @@ def _content(topic: str, stamps: npt.NDArray[np.int64]) -> TopicContent:
 
 MOVES = 1e-9
 """Spread below which a signal counts as constant."""
-
-
-@dataclass(frozen=True)
-class Use:
-    """One use of a bag."""
-
-    name: str
-    possible: bool
-    because: str = ''
-    """Why it is not possible; if it is, on what condition."""
 
 
 def uses_of_axis(record: Record, data: AxisData, reason: str) -> tuple[Use, ...]:

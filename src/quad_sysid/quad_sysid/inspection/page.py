@@ -9,7 +9,8 @@ from pathlib import PurePath
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES
-from quad_sysid.inspection.content import AxisContent, Content, MotorPlace, Use
+from quad_sysid.inspection.content import AxisContent, Content, MotorPlace
+from quad_sysid.pipeline.answer import Use
 from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table, wrapped
 

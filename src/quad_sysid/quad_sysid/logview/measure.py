@@ -125,12 +125,10 @@ class Measured:
 def look_at(flown: Flown) -> Measured:
     """Measure everything."""
     pieces = stretches(flown)
-    everything = Stretch(0.0, flown.length_s, pieces[-1].gains)
-    whole_part = _part(flown, everything if len(pieces) == 1 else Stretch(
-        0.0, flown.length_s, {}))
-    parts = tuple(_part(flown, piece) for piece in pieces) if len(pieces) > 1 else ()
+    whole, *parts = [_part(flown, piece) for piece in (
+        pieces if len(pieces) == 1 else (Stretch(0.0, flown.length_s, {}), *pieces))]
     return Measured(
-        flown, whole_part, parts, _motors(flown), _motor_frames(flown), _rotor_hz(flown))
+        flown, whole, tuple(parts), _motors(flown), _motor_frames(flown), _rotor_hz(flown))
 
 
 def _part(flown: Flown, stretch: Stretch) -> Part:
@@ -342,9 +340,7 @@ def _motor_frames(flown: Flown) -> Frames | None:
     maps = [frames for frames in every if frames is not None]
     if not maps or any(len(frames.at) != len(maps[0].at) for frames in maps):
         return None
-    first = maps[0]
-    return Frames(first.frequency_hz, np.mean([frames.density for frames in maps], axis=0),
-                  first.time_s, first.at, first.size)
+    return replace(maps[0], density=np.mean([frames.density for frames in maps], axis=0))
 
 
 def _rotor_hz(flown: Flown) -> FloatArray | None:

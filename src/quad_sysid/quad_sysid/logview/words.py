@@ -31,25 +31,17 @@ ORIGIN = ('import:', 'import clock:')
 
 def lines(look: Measured) -> list[str]:
     """One page for a terminal."""
-    out = [*answer(look), '', *wrapped(header(look), '  ', '')]
-    for table in tables(look):
+    out = [line for text in sentences(look) for line in wrapped(text, '  ', '')]
+    out += ['', *wrapped(header(look), '  ', '')]
+    for table in (*tables(look), *(one for part in look.parts for one in part_tables(part))):
         if table.rows:
             out += ['', *table.text()]
-    for part in look.parts:
-        for table in part_tables(part):
-            if table.rows:
-                out += ['', *table.text()]
     if look.flown.lacks:
         out += ['', *wrapped('not in the log: ' + '; '.join(look.flown.lacks), '  ', '')]
     for text in look.flown.warnings:
         kind = '' if text.startswith(ORIGIN) else 'warning: '
         out += wrapped(f'{kind}{text}', '  ', '')
     return out
-
-
-def answer(look: Measured) -> list[str]:
-    """The answer in sentences, a line list of at most 78 columns."""
-    return [line for text in sentences(look) for line in wrapped(text, '  ', '')]
 
 
 def sentences(look: Measured) -> list[str]:

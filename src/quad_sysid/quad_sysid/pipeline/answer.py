@@ -53,20 +53,20 @@ class ModelRow:
 
 
 @dataclass(frozen=True)
-class Approach:
-    """An approach of the paper's Table 1: whether the signals allow it, and why not."""
+class Use:
+    """A use of a flight, or an approach of the paper's Table 1: `direct`, `indirect`, `joint`."""
 
     name: str
-    """`direct`, `indirect` or `joint`."""
     possible: bool
-    because: str
+    because: str = ''
+    """Why it is not possible; if it is, on what condition."""
 
 
 @dataclass(frozen=True)
 class Selection:
     """Fit and selection of the black-box models of one axis."""
 
-    approaches: tuple[Approach, ...] = ()
+    approaches: tuple[Use, ...] = ()
     feedback: bool | None = None
     """Whether the data show feedback from the rate to the command."""
     advice: tuple[str, ...] = ()

@@ -31,7 +31,7 @@ from quad_sysid.model.data import AxisData
 from quad_sysid.model.effect import required
 from quad_sysid.pipeline import blackbox_part, step_b
 from quad_sysid.pipeline.advice import advice, rivalry
-from quad_sysid.pipeline.answer import Approach, AxisAnswer, ModelRow, Selection
+from quad_sysid.pipeline.answer import AxisAnswer, ModelRow, Selection, Use
 from quad_sysid.pipeline.assemble import Support
 from quad_sysid.pipeline.blackbox_part import ORDERS, Fits, successful_fits
 from quad_sysid.record import IOData
@@ -42,7 +42,7 @@ three tenths, is what limits and an outer loop may add."""
 
 
 def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, one_loop: bool,
-               closed: bool | None) -> tuple[tuple[Approach, ...], LinearController | None]:
+               closed: bool | None) -> tuple[tuple[Use, ...], LinearController | None]:
     """Judge each approach by the signals it needs; the controller where `indirect` is possible.
 
     `behind_attitude`: the external reference is the attitude set-point and not an excitation
@@ -63,9 +63,9 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
     elif not no and gains is not None:
         controller, reason = _known(z, gains)
     return (
-        Approach('direct', possible=True, because='command and rate are recorded'),
-        Approach('indirect', possible=controller is not None, because=reason),
-        Approach('joint', possible=not no,
+        Use('direct', possible=True, because='command and rate are recorded'),
+        Use('indirect', possible=controller is not None, because=reason),
+        Use('joint', possible=not no,
                  because=no or 'command, rate and reference are recorded'),
     ), controller
 
@@ -112,7 +112,7 @@ def reproduced(z: IOData, controller: LinearController) -> float:
     return fit_percent(np.concatenate(recorded), np.concatenate(computed))
 
 
-def fit_others(z: IOData, fits: Fits, possible: tuple[Approach, ...],
+def fit_others(z: IOData, fits: Fits, possible: tuple[Use, ...],
                controller: LinearController | None) -> tuple[tuple[Model, ...], tuple[str, ...]]:
     """Fit the plant by every approach but the direct one that is possible; models and refusals."""
     reasons: list[str] = []

@@ -21,7 +21,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from quad_bridge.lockstep import Clock
-from quad_bridge.nodes.conversion import parameters
+from quad_bridge.nodes.conversion import values_of
 from quad_bridge.nodes.qos import EVENT, HEARD
 from quad_bridge.start import listen_by_udp
 from quad_tuning.demo.processes import StageFailedError
@@ -114,12 +114,11 @@ class Observer:
 
     def _on_gains(self, event: ParameterEvent) -> None:
         self.gains_time = self._clock.now_s()
-        self.active_gains.update(
-            {name: v for name, v in parameters(event).items() if isinstance(v, float)}
-        )
+        values = values_of(event.changed_parameters)
+        self.active_gains.update({name: v for name, v in values.items() if isinstance(v, float)})
 
     def _on_segment(self, event: ParameterEvent) -> None:
-        self.segment = parameters(event)
+        self.segment = values_of(event.changed_parameters)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -12,7 +12,7 @@ import sqlite3
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from shlex import quote
@@ -36,6 +36,18 @@ ORPHANS = 'SELECT count(*) FROM messages WHERE topic_id NOT IN (SELECT id FROM t
 RECORDING = 'is still being recorded'
 RECENT_S = 5.0
 """A file without its end that has changed since may be in the hands of another recorder."""
+
+
+def storage_in(paths: Iterable[Path]) -> list[Path]:
+    """The storage files among these, the parts of a split bag in their order.
+
+    A compressed one beside its own content does not count: its recorder was killed meanwhile.
+    """
+    present = {path.name: path for path in paths}
+    return sorted((path for name, path in present.items()
+                   if (plain := name.removesuffix(PACKED)).endswith(('.mcap', '.db3'))
+                   and (plain == name or plain not in present)),
+                  key=lambda path: (len(path.name), path.name))
 
 
 def recording_state(file: Path) -> str:
