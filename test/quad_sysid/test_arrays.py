@@ -192,7 +192,8 @@ def test_parameters_are_shown_in_the_units_of_the_arrays():
         'rad/s² per unit command': ('deg/s² per V', 1.0 / 20.0 / degree),
         'rad/s² per (rad/s)²': ('deg/s² per (deg/s)²', degree), 's': ('s', 1.0),
         'rad/s² per rad': ('deg/s² per deg', 1.0), 'normalised command': ('V', 20.0),
-        'rad/s² per rad³': ('deg/s² per deg³', degree**2),
+        'rad/s² per rad³': ('deg/s² per deg³', degree**2), '1/rad': ('1/deg', degree),
+        'rad/s²/(rad/s)': ('deg/s²/(deg/s)', 1.0),
     }.items():
         assert units.parameter(unit) == (name, pytest.approx(factor)), unit
 

@@ -345,3 +345,10 @@ def test_flights_that_do_not_fit_together_are_refused(plain_flight, other_flight
         assert 'same measurement' in refusal(base_of, other_flight, plain_flight, twice)
     far = other_flight.at_interval(other_flight.dt * 1.01)
     assert 'one sample rate' in refusal(base_of, plain_flight, far)
+
+
+def test_what_a_flight_lacks_is_not_what_another_one_measured(plain_flight, other_flight):
+    """Its angle stood still where the other flight ended: a spring of 40 was 33 rad/s² per rad."""
+    blind = replace(other_flight, angles=None, battery_v=None, attitude_setpoint=None)
+    both = axis_data([plain_flight, blind], 'roll')
+    assert (both.angle, both.other_angles, both.battery_v) == (None, None, None)

@@ -170,6 +170,11 @@ def test_a_base_that_is_none_is_refused_in_one_line(refusal, changes, words):
     assert words in refusal(qs.Base, **{**known, **changes})
 
 
+def test_a_base_of_an_effects_name_is_refused(refusal):
+    other = replace(RIG, name='quadratic_drag')
+    assert 'the name of an effect' in refusal(qs.identify, 'nowhere', base=other)
+
+
 def test_a_position_without_its_measurement_is_said(refusal):
     pendulum = qs.Base('pendulum', ('rate', 'angle'), position='angle', parameters=(
         qs.Quantity('stiffness', '1/s²', 5.0),),

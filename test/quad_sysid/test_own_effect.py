@@ -4,6 +4,7 @@ import inspect
 import json
 import math
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from flown_axis import SHORT, UNSEEN, Axis, fly, model_of
 from node_process import python
 
 import quad_sysid as qs
+from quad_sysid.arguments import own_effects
 from quad_sysid.cli import main
 from quad_sysid.effects import _installed
 from quad_sysid.loop.from_model import loop_plant
@@ -78,13 +80,21 @@ def test_it_is_stored_read_back_simulated_and_judged(result, tmp_path, refused, 
     assert np.abs(again.simulate(u) - replace(again, effects=()).simulate(u)).max() > 0.1
     unseen = qs.evaluate(again, fly(AXIS, 6, UNSEEN))
     assert unseen.after < 0.6 * unseen.before
-    assert 'not known here: found cogging' in refusal(qs.read_model, folder)
     file, model = written(tmp_path), str(folder / 'model.json')
-    for run, words, status in (
-        (main, ['export', model, '--to', 'control'], 2), (tune, ['design', model], 3),
-    ):
-        assert '--effects FILE.py' in refused(run, *words, status=status)
+    lacks = f'{model}: model: roll.effects: names an effect that is not known here: found cogging'
+    assert lacks in refusal(qs.read_model, folder)
+    for run, words in ((main, ['export', model, '--to', 'control']), (tune, ['design', model])):
+        said = refused(run, *words)
+        assert lacks in said
+        assert '--effects FILE.py' in said
         assert run([*words, '--effects', file, '--quiet']) == 0
+
+
+def test_a_file_of_effects_imports_what_lies_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr('sys.path', [*sys.path])
+    written(tmp_path)
+    (tmp_path / 'chosen.py').write_text('from mine import Cogging\nEFFECTS = (Cogging(),)\n')
+    assert [effect.name for effect in own_effects(str(tmp_path / 'chosen.py'))] == ['cogging']
 
 
 def test_one_of_an_installed_package_is_among_ours(tmp_path):
@@ -139,7 +149,7 @@ class Late(Cogging):
         return -p[0] * s.hidden[0]
 
     def advance(self, x, s, *_):
-        return x + 10.0 * s.dt * (np.sin(12.0 * s.angle) - x)
+        return x + 10.0 * s.dt * (np.sin(12.0 * s.angle) - s.hidden)
 
 
 class Unmeasured(Cogging):
@@ -193,7 +203,7 @@ class SlowDrag(qs.Effect):
         return -p[0] * s.hidden[0]
 
     def advance(self, x, s, *_):
-        return x + s.dt / 0.3 * (s.rate * np.abs(s.rate) - x)
+        return x + s.dt / 0.3 * (s.rate * np.abs(s.rate) - s.hidden)
 
 
 class SlowMotors(qs.Effect):
@@ -252,6 +262,8 @@ def like(torque=Cogging.torque, **changes):
         ((like(advance=lambda _, x, *__: x[0], states=2)(),), '(500,) for (2, 500)'),
         ((like(advance=lambda _, x, s, *__: x + np.sqrt(s.rate), states=1)(),), '`advance` must'),
         ((like(prepare=lambda *_: None)(),), 'is not a mapping'),
+        ((like(lambda _, s, p, by: p[0] * (2.0 * by['knots'])[0] * s.angle,
+               prepare=lambda *_: {'knots': np.ones(3)})(),), "can't multiply sequence"),
         ((like(parameters=2 * Cogging.parameters)(),), 'two parameters have one name'),
         ((like(parameters=(qs.Spec('torque', 'rad/s²', log=True),))(),), '`spread` must be a pos'),
     ],

@@ -33,6 +33,7 @@ from quad_sysid.model.flight import Flight, Prediction
 from quad_sysid.model.plant import Plant
 from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.model.traced import Listing, Untraceable
+from quad_sysid.units import Units
 from quad_tuning.bounds import check_inside
 from quad_tuning.errors import DesignRefusedError
 
@@ -170,7 +171,7 @@ class Branches(Effect):
         return -p[0] * (pull + np.arctan(3.0 * s.rate))
 
     def advance(self, x, s, *_):
-        late = x.clip(-9.0, 9.0)
+        late = s.hidden.clip(-9.0, 9.0)
         return x + s.dt * np.stack([np.arctan(s.angle) - late[0], np.arctan(s.rate - late[1])])
 
 
@@ -367,16 +368,18 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
 
 
 def test_python_control_flies_a_found_model():
-    model = model_of(estimate_of('quadratic_drag', [2.0]),
-                     estimate_of('mode:slow_state', [0.3, 20.0]))
+    model = replace(model_of(estimate_of('quadratic_drag', [2.0]),
+                             estimate_of('mode:slow_state', [0.3, 20.0])),
+                    units=Units('V', 0.5, 0.0, 'deg/s', math.pi / 180.0, 'deg', math.pi / 180.0))
     whole, small = to_control(model), to_control(model, linear=True)
     near = control_system.linearize(whole, np.zeros(whole.nstates), [0.0])
     t = DT * np.arange(100)
     u = np.where(t < 0.1, 0.0, 1e-4)
-    answers = [control_system.input_output_response(one, t, u).outputs[0]
+    answers = [control_system.input_output_response(one, t, u).outputs
                for one in (whole, near, small)]
     for other in answers[1:]:
-        np.testing.assert_allclose(answers[0], other, atol=0.01 * np.abs(answers[0]).max())
+        for one, its in zip(answers[0], other, strict=True):
+            np.testing.assert_allclose(one, its, atol=0.01 * np.abs(one).max())
 
 
 @pytest.mark.parametrize('effect', [
@@ -384,7 +387,8 @@ def test_python_control_flies_a_found_model():
     estimate_of('periodic_disturbance', [2.0, 3.0, 4.0]),
 ])
 def test_python_control_begins_at_rest_and_its_time_goes_on(effect):
-    model = Identified(**vars(model_of(effect)))
+    units = Units('V', 0.5, 0.0, 'turn/s', 2.0 * math.pi, 'turn', 2.0 * math.pi)
+    model = Identified(**vars(replace(model_of(effect), units=units)))
     t = DT * np.arange(250)
     u = 0.05 * np.sign(np.sin(9.0 * t))
     flown = control_system.input_output_response(model.to_control(), t, u).outputs[0]

@@ -128,6 +128,7 @@ def own_effects(path: str | None) -> tuple[Effect, ...]:
     from quad_sysid.model.checked import checked
     from quad_sysid.model.effect import Effect
 
+    sys.path.append(str(Path(path).resolve().parent))  # what lies beside it can be imported
     try:
         content = runpy.run_path(path, run_name=OWN)
         # as a module, so that processes side by side know its classes

@@ -460,12 +460,9 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
         result = separate(options.axis or AXES[0], names, seconds, effects=own,
                           progress=show)
     else:
-        models = load_models(options.model, own)
-        result = separate(
-            pick(models, options.axis, options.model)[options.axis] if options.axis
-            else nearest(models), names, seconds, effects=own, source=options.model,
-            progress=show,
-        )
+        models = pick(load_models(options.model, own), options.axis, options.model)
+        result = separate(nearest(models), names, seconds, effects=own, source=options.model,
+                          progress=show)
     show('')
     return words.text(result), words.schedule(result)
 

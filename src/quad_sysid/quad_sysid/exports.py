@@ -21,6 +21,7 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
+from quad_sysid.units import Units
 
 if TYPE_CHECKING:
     from quad_sysid.model import AxisModel
@@ -119,7 +120,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     An `nlsys` with all effects, at the flight's mean throttle and voltage, the other axes at rest;
     its states count from motors that hold the throttle, so that 0 is rest. `linear`: an `ss` of
     the plant as its margins are judged, at rest. `linearize`, `interconnect` and
-    `input_output_response` take both.
+    `input_output_response` take both. Signals are in the units of the model's arrays.
     """
     import control
 
@@ -127,23 +128,26 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
     from quad_sysid.loop.linear import STILL, loops_of
     from quad_sysid.model.plant import flat, unflat
 
+    units = model.units or Units()
+    per_output = np.array([units.per_rate, units.per_motion])
     names: dict[str, Any] = {'inputs': ['command'], 'outputs': list(OUTPUTS), 'name': model.axis}
     if linear:
         loop = loops_of([(loop_plant(model), STILL)])
-        return control.ss(loop.a[0], loop.b[0][:, None], loop.c[0], 0.0, model.dt, **names)
+        return control.ss(loop.a[0], units.per_command * loop.b[0][:, None],
+                          loop.c[0] / per_output[:, None], 0.0, model.dt, **names)
     flying = whole_plant(model)
     plant, start = flying.plant, flying.begin()
     rest = flat(start)
 
     def update(t: float, x: FloatArray, u: FloatArray, _: object) -> FloatArray:
         time = flying.around.time + t + 0.5 * model.dt  # its signals are those of mid-cycle
-        now = replace(flying.around, time=time, sent=np.atleast_1d(u))
+        now = replace(flying.around, time=time, sent=units.command_of(np.atleast_1d(u)))
         later = plant.step(unflat(x[:, None] + rest, start), plant.with_motors(now))
         return (flat(later) - rest)[:, 0]
 
     def output(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
         rate, angle = plant.measured(unflat(x[:, None] + rest, start))
-        return np.array([rate[0], 0.0 if angle is None else angle[0]])
+        return np.array([rate[0], 0.0 if angle is None else angle[0]]) / per_output
 
     return control.nlsys(update, output, states=rest.shape[0], dt=model.dt, **names)
 

@@ -23,6 +23,7 @@ from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.model import AxisModel
 from quad_sysid.record import IOData, Record
+from quad_sysid.units import Units
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -53,9 +54,7 @@ class Identified(AxisModel):
         """
         from quad_sysid.pipeline.evaluate import simulate
 
-        units = self.units
-        if units is None:
-            return simulate(self, u, x0, throttle=throttle, battery_v=battery_v)
+        units = self.units or Units()
         initial = x0[0] * units.per_rate, x0[1] * units.per_motion
         rate = simulate(self, units.command_of(np.asarray(u, dtype=np.float64)), initial,
                         throttle=throttle, battery_v=battery_v)
@@ -88,16 +87,15 @@ class Identified(AxisModel):
             rate[starts + horizon - 1] = data.rate[starts + horizon - 1] + errors[:, -1]
         else:
             raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
-        return rate if self.units is None else self.units.rate_in(rate)
+        return (self.units or Units()).rate_in(rate)
 
     def compare(self, flight: Record | IOData | str | Path, horizon: float = math.inf) -> float:
         """Fit on a flight in per cent, 100 (1 - ||y - ŷ|| / ||y - mean y||); see `predict`."""
         from quad_sysid.blackbox import fit_percent
 
         unseen, _, _ = self._filtered(flight)
-        predicted = self.predict(flight, horizon)
-        rate = unseen.problem.data.rate
-        return fit_percent(rate if self.units is None else self.units.rate_in(rate), predicted)
+        measured = (self.units or Units()).rate_in(unseen.problem.data.rate)
+        return fit_percent(measured, self.predict(flight, horizon))
 
     def residuals(self, flight: Record | IOData | str | Path) -> ResidualTest:
         """Tests of the one-step errors on a flight: whiteness, and independence of the input."""
@@ -122,7 +120,8 @@ class Identified(AxisModel):
             np.atleast_1d(np.asarray(w, dtype=np.float64))
         if grid.ndim != 1 or not (np.isfinite(grid) & (grid > 0.0) & (grid <= nyquist)).all():
             raise BadInputError('bode', f'w must be (m,) within 0..{nyquist:.6g} rad/s')
-        scale = 1.0 if self.units is None else self.units.per_command / self.units.per_rate
+        units = self.units or Units()
+        scale = units.per_command / units.per_rate
         si = response_of(self, grid, NEAR_REST)
         return replace(si, response=scale * si.response, covariance=None
                        if si.covariance is None else scale**2 * si.covariance)
@@ -222,9 +221,8 @@ class Identified(AxisModel):
         if not same_rate(flight.dt, self.dt):
             raise BadInputError('flight', "sample rate must be the model's",
                                 f'{1 / flight.dt:.6g} Hz, model {1 / self.dt:.6g} Hz')
-        u, y = np.nan_to_num(flight.u), flight.y
-        if self.units is not None:
-            u, y = self.units.command_of(u), self.units.rate_of(y)
+        units = self.units or Units()
+        u, y = units.command_of(np.nan_to_num(flight.u)), units.rate_of(flight.y)
         spans = tuple((int(a), int(b)) for a, b in flight.segments)
         data = axis_alone(u, y, self.dt, spans, self.gyro_filter_hz)
         control = np.zeros((y.size, 4))

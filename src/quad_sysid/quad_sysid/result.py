@@ -306,6 +306,8 @@ def identify(
     candidates = EFFECTS if effects is None and not extra_effects else checked(
         (*chosen, *extra_effects) if isinstance(chosen, list | tuple) else chosen,
         'identify: effects', EFFECTS)
+    if base is not None and any(effect.name == base.name for effect in candidates):
+        raise BadInputError('identify: base', 'has the name of an effect', base.name, 'rename it')
     show, limit = _listener(progress), _halt(seconds, stop)
     names, records = _request(flights, axes, {
         'u': u, 'y': y, 'dt': dt, 't': t, 'angle': angle, 'reference': reference,
@@ -461,9 +463,8 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     may name, or `EFFECTS` with them. Raises BadInputError where the file or the axis is missing.
     """
     from quad_sysid.effects import EFFECTS
-    from quad_sysid.estimate.stored import completed
     from quad_sysid.model.checked import checked
-    from quad_sysid.report.model_file import load_models, located
+    from quad_sysid.report.model_file import load_models, located, runnable
 
     place = located(path)
     models = load_models(place, checked(effects, 'read_model: effects', EFFECTS))
@@ -472,8 +473,7 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     if axis not in models:
         raise BadInputError(f'{place}: axes', 'lacks this axis' if axis else 'has several axes',
                             axis or None, f'take one of {", ".join(models)}')
-    completed(models[axis])  # raises where an effect is not known
-    return Identified(**vars(models[axis]))
+    return Identified(**vars(runnable({axis: models[axis]}, place)[axis]))
 
 
 def model_of(model: object) -> Identified | Model:

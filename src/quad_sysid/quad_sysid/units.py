@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from quad_sysid.contract import FloatArray
 
 POWERS = {'': 1, '²': 2, '³': 3}
-RAD = re.compile(r'\(rad/s[²]?\)([²³]?)|rad([²³]?)(?=/|$)')
-"""A motion in the unit of a parameter, and its power."""
+RAD = re.compile(r'(/?)(?:\(rad/s[²]?\)([²³]?)|rad([²³]?)(?=/|$))')
+"""A motion in the unit of a parameter: whether it is divided by, and its power."""
 LENGTHS = ('m', 'cm', 'mm')
 SPOKEN = tuple((re.compile(pattern), word) for pattern, word in (
     (r'(torque|friction) / inertia', 'acceleration'), (r'\brate\b', 'speed'),
@@ -94,7 +94,8 @@ class Units:
             if part == 'rad/s' and i == 0:
                 names, factor = [self.rate], 1.0 / self.per_rate
                 continue
-            factor /= self.per_motion**(way * sum(POWERS[a or b] for a, b in RAD.findall(part)))
+            factor /= self.per_motion**(way * sum(
+                (-1 if over else 1) * POWERS[a or b] for over, a, b in RAD.findall(part)))
             name = part.replace('rad', self.motion)
             for word in (COMMAND, 'normalised command'):
                 if part.endswith(word):

@@ -225,9 +225,9 @@ def _identified(job: Job) -> Row:
     from quad_sysid.result import identify
 
     effects = _own_effects(job.effects) if job.effects else ()
-    candidates = None if job.search_effects and not effects else (*EFFECTS, *effects)
+    candidates = (*EFFECTS, *effects) if job.search_effects else ()
     record, row = _read(job)
-    result = identify(record, job.axes, effects=candidates if job.search_effects else ())
+    result = identify(record, job.axes, effects=candidates)
     row |= {'status': ANSWERED if result.answered else CANNOT_TELL,
             'reason': '' if result.answered else result.reasons, 'start_ns': record.t0_ns,
             'length_s': record.n * record.dt, 'sample_rate_hz': 1.0 / record.dt,

@@ -171,7 +171,7 @@ def _torque(flying: Flying, part: Part, p: FloatArray, level: Level) -> LinearTo
         """(m + 1, n) the states a cycle later, and the torque meanwhile."""
         signals = s.replaced(hidden=x) if m else s
         torque = np.broadcast_to(required(effect.torque(signals, p, settings)), s.rate.shape)
-        return np.vstack([effect.advance(x, s, p, settings), torque]) if m else torque[None]
+        return np.vstack([effect.advance(x, signals, p, settings), torque]) if m else torque[None]
 
     zero = np.zeros(1)
     still = signals_of(zero, zero, zero, zero)

@@ -345,15 +345,16 @@ def axis_data(records: Sequence[Record], axis: str) -> AxisData:
         ]
 
     for name, least in (('angle', 0.0), ('other_angles', 0.0), ('battery_v', 0.5)):
-        values = fields[name].reshape(is_finite.size, -1)
-        covered = np.isfinite(values).all(axis=1).mean() > least
-        fields[name] = filled(fields[name]) if covered else None
+        known = [np.isfinite(part[name].reshape(len(part[name]), -1)).all(axis=1).mean()
+                 for part in parts]  # a flight without it has not what another one had
+        fields[name] = filled(fields[name]) if min(known) > least else None
     units = {place for record in records for place in record.injected_at(axis)}
     if len(units) > 1 or not np.isfinite(fields['reference']).any():
         fields['reference'] = None
     for role in ('train', 'validation'):
         fields[role] = tuple(span for span, _ in pieces(role))
-    known_gains = records[0].gains_at(np.inf) if EVERY[axis].turns else {}
+    has_angle = EVERY[axis].turns and fields['angle'] is not None
+    known_gains = records[0].gains_at(np.inf) if has_angle else {}
     filters = [run for record in records for run in _filters(record, axis)]
     usual = next((hz for hz, _ in filters if hz is not None), None)
     cut_offs = [(hz or usual, count) for hz, count in filters]

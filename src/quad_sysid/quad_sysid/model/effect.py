@@ -392,7 +392,7 @@ class Effect:
         listing, out = Listing(s.time.size), np.zeros((len(first[0]), s.time.size))
         x: Any = listing.inputs(len(out), 1)
         try:
-            following = listing.places(self.advance(x, s, p, settings)).ravel()
+            following = listing.places(self.advance(x, s.replaced(hidden=x), p, settings)).ravel()
         except (Untraceable, TypeError, IndexError, ValueError):
             return self.cycles(s, p, settings, stretches, first)
         code, inputs, indices = listing.repeated(following)
@@ -416,7 +416,7 @@ class Effect:
             x = begin
             for k in range(start, stop):
                 out[:, k] = x
-                x = self.advance(x, s.at(k), p, settings)
+                x = self.advance(x, s.at(k).replaced(hidden=x), p, settings)
         return out
 
     def longest_s(self, p: FloatArray) -> float:

@@ -251,7 +251,8 @@ class Plant:
             middle = 0.5 * (r + new)
         s = s.replaced(rate=middle, angle=None if x.angle is None else x.angle + h * middle)
         hidden = tuple(
-            None if states is None else part.effect.advance(states, s, p, part.settings)
+            None if states is None else
+            part.effect.advance(states, s.replaced(hidden=states), p, part.settings)
             for states, (part, p) in zip(x.hidden, self.torque_effects, strict=True)
         )
         middle_rate = middle + 0.25 * dt * (drive[0] - drive[1])

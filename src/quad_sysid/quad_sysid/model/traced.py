@@ -151,7 +151,7 @@ class Listing:
         used = [(row, place) for value, places in self._along.values()
                 for row, place in zip(value.reshape(-1, self.cycles), places.ravel(), strict=True)
                 if place in read]
-        inputs = np.array([row for row, _ in used]).reshape(len(used), self.cycles)
+        inputs = np.array([row for row, _ in used], float).reshape(len(used), self.cycles)
         return code, inputs, np.array([place for _, place in used], dtype=np.int64)
 
     def numbers(self, w: int) -> tuple[Indices, FloatArray]:
@@ -164,6 +164,8 @@ class Listing:
             return value.at
         if isinstance(value, float):
             return np.array(self.constant(value))
+        if value is None:
+            raise Untraceable('a signal that is not there')
         if id(value) in self._along:
             return self._along[id(value)][1]
         array = np.asarray(value, dtype=np.float64)
@@ -238,24 +240,14 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         self.at = self.at.copy()
         self.at[index] = self.listing.places(value)
 
-    def reshape(self, *shape: int) -> Traced:
-        """The numbers in another shape, as by `ndarray.reshape`."""
-        return Traced(self.listing, self.at.reshape(*shape))
-
-    def ravel(self) -> Traced:
-        """The numbers as (n,), as by `ndarray.ravel`."""
-        return Traced(self.listing, self.at.ravel())
-
-    def copy(self) -> Traced:
-        """A copy, as by `ndarray.copy`."""
-        return Traced(self.listing, self.at.copy())
-
     def sum(self, axis: int | None = None) -> Traced:
         """Sum over an axis, as by `ndarray.sum`."""
         return _sum(self, axis)
 
     def __getattr__(self, name: str) -> Any:
-        """Any other method of an array, such as `clip`."""
+        """A method of an array that moves its numbers only; any other, such as `clip`, raises."""
+        if name in ('reshape', 'ravel', 'copy'):
+            return lambda *shape: Traced(self.listing, getattr(self.at, name)(*shape))
         raise (AttributeError if name.startswith('__') else Untraceable)(name)
 
     def __bool__(self) -> bool:
@@ -279,9 +271,8 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
             raise Untraceable(f'{ufunc.__name__}.{method}')
         if ufunc is np.matmul:
             return _contracted(*inputs)
-        if ufunc is np.power and np.ndim(inputs[1]) == 0 and inputs[1] == 2:
-            return self.listing.each('multiply', inputs[0], inputs[0])
-        if ufunc is np.square:
+        if ufunc is np.square or (
+                ufunc is np.power and np.ndim(inputs[1]) == 0 and inputs[1] == 2):
             return self.listing.each('multiply', inputs[0], inputs[0])
         return self.listing.each(ufunc.__name__, *inputs)
 
@@ -383,7 +374,8 @@ def _interp(x: Traced, knots: Any, values: Any) -> Traced:
 
 FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
     np.where: lambda c, a, b: _listing(c, a, b).each('where', c, a, b),
-    np.clip: lambda x, low, high: np.minimum(np.maximum(x, low), high),
+    np.clip: lambda x, low, high: np.minimum(np.maximum(
+        x, -np.inf if low is None else low), np.inf if high is None else high),
     np.stack: _joined(np.stack), np.concatenate: _joined(np.concatenate),
     np.sum: _sum, np.tensordot: _contracted, np.interp: _interp,
     np.round: lambda x: x.listing.each('rint', x),

@@ -156,8 +156,7 @@ def flight_of(model: AxisModel, record: Record) -> tuple[Record, AxisData]:
     # a model without a filter holds it in its lag and delay; else the bag knows its own best
     cut_off = data.gyro_filter_hz if model.gyro_filter_hz else None
     return record, replace(data, gyro_filter_hz=cut_off or model.gyro_filter_hz,
-                           gyro_filters_hz=data.gyro_filters_hz if cut_off else None,
-                           derived_s=None if data.angle is None else data.derived_s)
+                           gyro_filters_hz=data.gyro_filters_hz if cut_off else None)
 
 
 def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:

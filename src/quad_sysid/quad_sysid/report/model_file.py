@@ -114,9 +114,8 @@ def models_of(tree: object, path: str, own_effects: Sequence[Effect] = ()) -> di
     for axis in axes:
         axis_of(f'{path}: axes', axis)
     effects = tuple(own_effects)
-    models = {axis: _renamed(_model(axis, tree, f'{path}: axes.{axis}', effects))
-              for axis, tree in axes.items()}
-    models = {axis: _with_own(model, effects) for axis, model in models.items()}
+    models = {axis: _with_own(_renamed(_model(axis, tree, f'{path}: axes.{axis}', effects)),
+                              effects) for axis, tree in axes.items()}
     for axis, model in models.items():
         for one in filter(None, (model, model.reference)):
             _refuse_unrunnable(one, f'{path}: axes.{axis}')
@@ -133,17 +132,29 @@ def pick(models: Mapping[str, AxisModel], axes: str | None,
          path: str | os.PathLike[str]) -> dict[str, AxisModel]:
     """The models of the axes that --axis names, of all without it; `all` takes what is there.
 
-    BadInputError naming the file where it lacks one that is named, or holds none of `all`.
+    BadInputError naming the file where it lacks one that is named, holds none of `all`, or names
+    an effect that is not known here.
     """
-    if axes is None:
-        return dict(models)
-    requested, named = axes_in(axes), axes.split(',')
+    requested, named = (axes_in(axes), axes.split(',')) if axes is not None else (models, ())
     chosen = {axis: models[axis] for axis in requested if axis in models}
     absent = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
     if absent:
         raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(absent),
                             f'it holds {", ".join(models)}')
-    return chosen
+    return runnable(chosen, path)
+
+
+def runnable(models: Mapping[str, AxisModel],
+             path: str | os.PathLike[str]) -> dict[str, AxisModel]:
+    """The models of a file; BadInputError naming it where an effect is not known here."""
+    from quad_sysid.estimate.stored import completed
+
+    try:
+        for one in (m for model in models.values() for m in (model, model.reference) if m):
+            completed(one)
+    except BadInputError as error:
+        raise BadInputError(str(path), str(error)) from error
+    return dict(models)
 
 
 def tree_of(model: Model) -> dict[str, Any]:
