@@ -327,7 +327,7 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
     places, first = np.unique(grid.position(stamps), return_index=True)
     reach, cells = BATTERY_GAP_S / grid.dt, np.arange(grid.n, dtype=float)
     places = np.concatenate([places[:1] - reach, places, places[-1:] + reach])
-    battery = np.interp(cells, places, np.pad(volts[first], 1, 'edge'), np.nan, np.nan)
+    battery: FloatArray = np.interp(cells, places, np.pad(volts[first], 1, 'edge'), np.nan, np.nan)
     after = np.clip(np.searchsorted(places, cells), 1, len(places) - 1)
     battery[np.diff(places)[after - 1] > reach + 1e-6] = np.nan
     return battery

@@ -170,7 +170,7 @@ def spread(times: FloatArray, values: FloatArray) -> tuple[FloatArray, str]:
         return times, ''
     is_late = bool(np.mean(steps[together] > 0.0) > 0.5)
     low, high = np.quantile(blocks, (0.05, 0.95)) if is_late else (0.0, 0.0)
-    same = np.isclose(values[1:], values[:-1], 0.0, 0.0, equal_nan=True).all(axis=1)
+    same = np.asarray(np.isclose(values[1:], values[:-1], 0.0, 0.0, equal_nan=True).all(axis=1))
     is_twice = same[together].mean() - same[~together].mean() > TWICE
     if is_twice or high - low > STEADY_PACE * high:
         return times, ''
