@@ -198,6 +198,19 @@ def test_a_bag_whose_recorders_clock_was_set_back_is_read_in_the_order_of_its_fi
     assert (got.n, got.dt) == (700, 0.004)
 
 
+@pytest.mark.parametrize(('stamps', 'words'), [
+    (T0 + 10_000_000 * (regular() // 10_000_000 - T0 // 10_000_000), '60 % repeat a time'),
+    (T0 - 16_000_000 * ((T0 - regular()) // 16_000_000) + 100_000 * (np.arange(N) % 4),
+     '75 % of the rows come right behind another'),
+], ids=['simulated time that ticks', 'bursts of a driver'])
+def test_messages_of_one_tick_or_burst_lie_in_cycles_of_their_own(tmp_path, stamps, words):
+    got = read_bag(write_imu(tmp_path / 'bag', stamps, imu_stream(stamps)))
+    assert words in '; '.join(got.warnings)
+    assert got.dt == pytest.approx(0.004, rel=1e-3)
+    assert got.n == pytest.approx(N, abs=2)
+    assert np.isfinite(got.rates).all(axis=1).sum() >= N - 2
+
+
 def test_topics_at_other_stamps_go_to_the_nearest_cycle(tmp_path):
     stamps = regular(100)
     first = np.arange(300.0).reshape(100, 3)

@@ -21,7 +21,8 @@ from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
 from quad_sysid.explain.ladder import Models, _within_prior
 from quad_sysid.explain.projection import Projected
-from quad_sysid.model.data import axis_data, slice_of
+from quad_sysid.model.angle import led_by_gyro
+from quad_sysid.model.data import axis_alone, axis_data, slice_of
 from quad_sysid.model.effect import Part, required
 from quad_sysid.model.flight import Flight
 from quad_sysid.model.structure import NOISE, Structure
@@ -38,6 +39,13 @@ def friction(_t, rate, _angle):
 
 
 TORQUES = [e for e in EFFECTS if e.name in ('quadratic_drag', 'coulomb_friction', 'dead_zone')]
+
+
+def test_an_angle_is_led_by_the_gyro_where_the_first_stretch_is_shorter_than_a_second():
+    t, noise = DT * np.arange(2000), np.random.default_rng(1).normal(0.0, 0.01, 2000)
+    data = axis_alone(0.0 * t, np.cos(t), DT, [(0, 60), (100, 2000)])
+    led = led_by_gyro(replace(data, angle=np.sin(t) + noise), data.rate)
+    assert np.std((led - np.sin(t))[100:]) < 0.003
 
 
 def judged(data, problem, found):

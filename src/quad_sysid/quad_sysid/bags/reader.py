@@ -16,7 +16,7 @@ from quad_sysid.bags import events
 from quad_sysid.bags.cdr import JOINTS, WIDTH, Joints, Stamped, decode, joints_of, text_of
 from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
-from quad_sysid.bags.stamps import SEVERAL, Grid, new_rows, uniform_grid
+from quad_sysid.bags.stamps import SEVERAL, Grid, new_rows, spread, uniform_grid
 from quad_sysid.bags.storage import Storage
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
@@ -173,8 +173,11 @@ def _read(path: Path) -> _Content:
     warnings += [f'{key}: {text}' for key, text in storage.notes.items()]
     streams = {}
     for topic, pieces in parts.items():
-        streams[topic] = Stamped(np.concatenate([p.stamps for p in pieces]),
-                                 np.concatenate([p.values for p in pieces]),
+        stamps = np.concatenate([p.stamps for p in pieces])
+        values = np.concatenate([p.values for p in pieces])
+        times, note = spread(stamps.astype(float), values)
+        warnings += [f'{topic}: {note}'] * bool(note)
+        streams[topic] = Stamped(times.astype(np.int64) if note else stamps, values,
                                  sum(p.unreadable for p in pieces))
         if streams[topic].unreadable:
             warnings.append(f'{topic}: {streams[topic].unreadable} messages cannot be read as '
@@ -321,17 +324,12 @@ def _battery(content: _Content, grid: Grid, warnings: list[str]) -> FloatArray |
         warnings.append(f'/battery: {len(outliers)} values outside {low:g} to {high:g} V left '
                         f'out, such as {outliers[0]:.3g} V')
     stamps, volts = stream.stamps[plausible], volts[plausible]
-    places = grid.position(stamps)
-    places, first = np.unique(places, return_index=True)
-    cells = np.arange(grid.n, dtype=float)
-    battery: FloatArray = np.interp(cells, places, volts[first])
-    after = np.clip(np.searchsorted(places, cells), 1, max(1, len(places) - 1))
-    if len(places) > 1:
-        wide = (places[after] - places[after - 1]) * grid.dt > BATTERY_GAP_S
-        inside = (cells > places[0]) & (cells < places[-1])
-        battery[wide & inside] = np.nan
-    beyond = np.maximum(places[0] - cells, cells - places[-1]) * grid.dt
-    battery[beyond > BATTERY_GAP_S] = np.nan
+    places, first = np.unique(grid.position(stamps), return_index=True)
+    reach, cells = BATTERY_GAP_S / grid.dt, np.arange(grid.n, dtype=float)
+    places = np.concatenate([places[:1] - reach, places, places[-1:] + reach])
+    battery: FloatArray = np.interp(cells, places, np.pad(volts[first], 1, 'edge'), np.nan, np.nan)
+    after = np.clip(np.searchsorted(places, cells), 1, len(places) - 1)
+    battery[np.diff(places)[after - 1] > reach + 1e-6] = np.nan
     return battery
 
 

@@ -37,6 +37,14 @@ CRYSTAL = 2e-4
 """Two clocks differ by less than this share, so an interval that is so near whole µs is meant."""
 BLOCK = 32
 """Differences per block in which the rate is checked."""
+TOGETHER, TICKS = 0.2, 0.05
+"""Part of the usual interval within which samples come together, and the share of them from which
+their times are those of a slow clock or of bursts; fewer are duplicates."""
+STEADY_PACE = 0.5
+"""Part by which the pace of BLOCK samples may differ where they come at a steady one in bursts."""
+TWICE = 0.5
+"""How much larger the share of equal samples is among those of one stamp than among the others
+where each was written twice."""
 REPEATED = 1.1
 """Samples for each value from which a logger may have repeated what it had."""
 CHANGES, PACE, STEADY = 32, 0.02, 0.8
@@ -146,6 +154,40 @@ def uniform_grid(stamps: IntArray, source: str) -> Grid:
         warnings.append(f'{TOPIC}: stamps jitter by {100 * jitter:.0f} % of a cycle (p99)')
     return Grid(dt=dt, t0_ns=int(times[0]), n=int(cells[-1]) + 1, rows=rows, cells=cells,
                 stamps=times, warnings=tuple(warnings))
+
+
+def spread(times: FloatArray, values: FloatArray) -> tuple[FloatArray, str]:
+    """Times (n,) of samples (n, k) that came at one pace, in the order of arrival; what was done.
+
+    Those of one tick of a slow clock lie between it and the next; those that arrived together were
+    measured after what arrived before.
+    """
+    steps = np.diff(times)
+    blocks = times[BLOCK:] - times[:-BLOCK]
+    pace = float(np.median(blocks)) / BLOCK if blocks.size else 0.0
+    together = (steps >= 0.0) & (steps <= TOGETHER * pace)
+    if not TICKS * steps.size < np.count_nonzero(together) < steps.size:
+        return times, ''
+    is_late = bool(np.mean(steps[together] > 0.0) > 0.5)
+    low, high = np.quantile(blocks, (0.05, 0.95)) if is_late else (0.0, 0.0)
+    same = np.asarray(np.isclose(values[1:], values[:-1], 0.0, 0.0, equal_nan=True).all(axis=1))
+    is_twice = same[together].mean() - same[~together].mean() > TWICE
+    if is_twice or high - low > STEADY_PACE * high:
+        return times, ''
+    clock = -times[::-1] if is_late else times
+    first = np.append(True, ~(together[::-1] if is_late else together))
+    ticks = np.flatnonzero(first)
+    k = min(BLOCK, ticks.size - 1)
+    pace = float(np.median((clock[ticks[k:]] - clock[ticks[:-k]]) / (ticks[k:] - ticks[:-k])))
+    following = np.append(clock[ticks[1:]], np.inf)[np.cumsum(first) - 1]
+    out, at = np.empty_like(clock), clock[0] - pace
+    for i, (tick, after) in enumerate(zip(clock.tolist(), following.tolist(), strict=True)):
+        out[i] = at = max(tick, min(at + pace, after))
+    share = f'{100 * together.mean():.0f} %'
+    if is_late:
+        return -out[::-1], f'{share} of the rows come right behind another: spread, as in bursts'
+    return out, (f'the clock ticks more slowly than the rows come ({share} repeat a time): rows '
+                 'are spread between the ticks')
 
 
 def _in_order(stamps: IntArray, rows: IntArray, warnings: list[str]) -> IntArray:

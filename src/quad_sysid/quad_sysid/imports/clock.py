@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quad_sysid.bags.stamps import count_cycles, in_whole_us, new_rows
+from quad_sysid.bags.stamps import count_cycles, in_whole_us, new_rows, spread
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.record import finite_runs
@@ -29,9 +29,6 @@ SPARSEST = 0.01
 """Least share of a grid's cycles that hold a sample; with fewer, times are wrong."""
 PAUSE_S, PAUSE_INTERVALS = 2.0, 5.0
 """Pause inserted between two experiments."""
-TICKS = 0.05
-"""Share of rows with an unchanged time from which the clock counts as ticking more slowly than the
-rows come; fewer are duplicates."""
 UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MAX_ODD = 0.03
@@ -143,7 +140,11 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
     if jumps:
         notes.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
                      'apart')
-    chosen, moment = _spread(np.concatenate(long), np.concatenate(moments), notes)
+    chosen = np.concatenate(long)
+    moment, note = spread(np.concatenate(moments), np.arange(float(chosen.size))[:, None])
+    first = np.concatenate(([True], np.diff(moment) > 0.0))
+    notes += [note] * bool(note) + _omitted(int((~first).sum()), 'rows that repeat a time')
+    chosen, moment = chosen[first], moment[first]
     moment = moment if moment[0] > EPOCH_S else moment - moment[0] + 1.0
     return Unrolled(chosen, moment, tuple(notes))
 
@@ -173,22 +174,6 @@ def _repeated(time_s: FloatArray, values: Sequence[FloatArray], rows: np.ndarray
         a, b = column[rows[index + 1]], column[rows[index]]
         out[index] &= (a == b) | (np.isnan(a) & np.isnan(b))
     return out
-
-
-def _spread(
-    rows: np.ndarray, time_s: FloatArray, notes: list[str]
-) -> tuple[np.ndarray, FloatArray]:
-    """Rows of equal time: spread between the ticks if there are many, left out if few."""
-    repeated = np.concatenate(([False], np.diff(time_s) <= 0.0))
-    if repeated.mean() <= TICKS:
-        notes += _omitted(int(repeated.sum()), 'rows that repeat a time')
-        return rows[~repeated], time_s[~repeated]
-    notes.append(f'the clock ticks more slowly than the rows come ({100 * repeated.mean():.0f} '
-                 '% repeat a time): rows are spread between the ticks')
-    ticks = np.flatnonzero(~repeated)
-    end = time_s[-1] + (len(rows) - ticks[-1]) * (time_s[-1] - time_s[0]) / max(1, ticks[-1])
-    places = np.append(ticks, len(rows)).astype(float)
-    return rows, np.interp(np.arange(float(len(rows))), places, np.append(time_s[ticks], end))
 
 
 def fresh(stream: Stream) -> Stream:

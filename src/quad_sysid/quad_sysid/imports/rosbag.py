@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from quad_sysid.bags.stamps import spread
 from quad_sysid.bags.storage import without_storage
 from quad_sysid.bags.stored.files import storage_in
 from quad_sysid.contract import FloatArray
@@ -27,8 +28,8 @@ MAX_NUMBERS = 64
 """Longest array that becomes columns; a longer one is an image, a cloud or a matrix of data."""
 LATE_S = 0.1
 """Longest time that a message is on its way; stamps that differ by more are of two clocks."""
-QUICK = 0.05
-"""Quantile of the times between stamp and receipt that is taken for the delay of the way alone."""
+HELD_UP_S = 5.0
+"""Longest time for which messages are held up; over a longer one the quickest show their clock."""
 STREAM = 100
 """Least number of messages of a topic that says of its clock: others may have been kept for later
 subscribers."""
@@ -138,10 +139,9 @@ class _Topic:
                 row = []
             self.values.extend(row + [math.nan] * (max(count, 1) - len(row)))
 
-    def columns(self) -> dict[str, FloatArray]:
-        """The columns by name."""
-        table = np.frombuffer(self.values, dtype=np.float64).reshape(len(self.stamps), -1)
-        return {name: table[:, i].copy() for i, name in enumerate(self.names)}
+    def table(self) -> FloatArray:
+        """(n, columns) a row for each message."""
+        return np.frombuffer(self.values, dtype=np.float64).reshape(len(self.stamps), -1)
 
 
 def read_messages(
@@ -153,18 +153,14 @@ def read_messages(
     bag is damaged or holds no definitions of the messages that are wanted.
     """
     topics: dict[str, _Topic] = {}
-    unknown: dict[str, str] = {}
     with _opened(path, messages) as reader:
         connections = [
             c for c in reader.connections
             if names is None or any(name.startswith(f'{c.topic}.') for name in names)
         ]
-        decoded = []
-        for found in connections:
-            if found.msgtype in reader.typestore.fielddefs:
-                decoded.append(found)
-            else:
-                unknown[found.topic] = found.msgtype
+        defined = reader.typestore.fielddefs
+        decoded = [c for c in connections if c.msgtype in defined]
+        unknown = {c.topic: c.msgtype for c in connections if c.msgtype not in defined}
         if unknown and (names is not None or not decoded):
             raise _undefined(path, unknown, messages)
         with read_by_library(path, 'is not a whole bag', MEND):
@@ -176,22 +172,46 @@ def read_messages(
                 topic.add(1e-9 * received, message)
     columns: Columns = {}
     times: Columns = {}
+    notes: list[str] = []
     shifts = _other_clocks(topics)
     for name, topic in topics.items():
-        of_topic = topic.columns()
-        columns |= of_topic
-        times |= dict.fromkeys(of_topic, np.array(topic.stamps) + shifts.get(name, 0.0))
-    return columns, times, tuple(
-        f'{name}: its stamps are {shift:.6g} s off the clock of the recorder, which other topics '
-        'have: moved to it by the messages that came quickest'
-        for name, shift in shifts.items() if abs(shift) > LATE_S)
+        values, shift = topic.table(), shifts.get(name, np.zeros(1))
+        own, done = spread(np.array(topic.stamps) + shift, values)
+        back = int(np.count_nonzero(np.diff(own) < 0.0))
+        if np.abs(shift).max() > LATE_S:
+            off = ' to '.join(dict.fromkeys(f'{x:.3f}' for x in (shift.min(), shift.max())))
+            notes.append(f'{name}: its stamps are {off} s off the clock of the recorder: moved to '
+                         'it by the messages that came quickest')
+        notes += [f'{name}: {done}'] * bool(done)
+        notes += [f'{name}: {back} messages run back in time and are sorted'] * bool(back)
+        columns |= zip(topic.names, values.T.copy(), strict=True)
+        times |= dict.fromkeys(topic.names, own)
+    return columns, times, tuple(notes)
 
 
-def _other_clocks(topics: Mapping[str, _Topic]) -> dict[str, float]:
-    """What brings the stamps of each topic onto the recorder's clock, s; none if one has all."""
-    shifts = {name: float(np.quantile(topic.delays, QUICK)) for name, topic in topics.items()
-              if len(topic.delays) >= STREAM}
-    return shifts if shifts and np.ptp([*shifts.values()]) > LATE_S else {}
+def _other_clocks(topics: Mapping[str, _Topic]) -> Columns:
+    """What brings each topic's stamps onto the recorder's clock, s; none if they share one.
+
+    One that was set back is none.
+    """
+    from scipy.ndimage import grey_closing, grey_opening  # slow to import
+
+    shifts: Columns = {}
+    received: Columns = {}
+    was_set = False
+    for name, topic in topics.items():
+        stamps, delays = np.array(topic.stamps), np.array(topic.delays)
+        if stamps.size < STREAM:
+            continue
+        received[name] = stamps + delays
+        size = 1 + round(HELD_UP_S * stamps.size / max(np.ptp(received[name]), HELD_UP_S))
+        shift = shifts[name] = grey_closing(grey_opening(delays, size), size)
+        was_set |= bool(((np.diff(shift) > LATE_S) & (np.diff(stamps) < -LATE_S)).any())
+    if not shifts:
+        return {}
+    moments = np.concatenate([*received.values()])[::STREAM]
+    apart = np.ptp([np.interp(moments, received[name], shifts[name]) for name in shifts], axis=0)
+    return shifts if was_set or apart.max() > LATE_S else {}
 
 
 def of_one_aircraft(path: Path, pattern: re.Pattern[str], names: Collection[str],

@@ -108,9 +108,7 @@ class Table:
         remaining = {n: values for n, values in self.columns.items() if n != name}
         unrolled = unroll(unit(self.columns[name]), list(remaining.values()),
                           f'{self.source}, column {name}')
-        is_complete = len(unrolled.rows) == len(self.columns[name])
-        columns = remaining if is_complete and (np.diff(unrolled.rows) > 0).all() else {
-            n: values[unrolled.rows] for n, values in remaining.items()}
+        columns = {n: values[unrolled.rows] for n, values in remaining.items()}
         return replace(self, columns=columns, times=dict.fromkeys(columns, unrolled.time_s),
                        notes=(*self.notes, *unrolled.notes))
 
@@ -146,8 +144,6 @@ class Table:
 
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
-        if (np.diff(times) > 0.0).all():
-            return Stream(times, self.columns[name][:, None])
         order = np.argsort(times, kind='stable')
         order = order[np.diff(times[order], prepend=-np.inf) > 0.0]
         return Stream(times[order], self.columns[name][order][:, None])

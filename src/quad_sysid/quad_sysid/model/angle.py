@@ -28,7 +28,7 @@ def led_by_gyro(data: AxisData, rate: FloatArray) -> FloatArray:
     difference = measured - np.append(0.0, np.cumsum(increments[:-1]))
 
     def variance(cycles: int) -> float:
-        steps = [difference[a + cycles : b] - difference[a : b - cycles]
+        steps = [difference[a:b][cycles:] - difference[a:b][:-cycles]
                  for a, b in data.stretches]
         return float(np.nanmean(np.concatenate([np.zeros(1), *steps]) ** 2))
 
