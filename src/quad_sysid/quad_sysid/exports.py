@@ -147,7 +147,8 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
 
     def output(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
         rate, angle = plant.measured(unflat(x[:, None] + rest, start))
-        return np.array([rate[0], 0.0 if angle is None else angle[0]]) / per_output
+        seen: FloatArray = np.array([rate[0], 0.0 if angle is None else angle[0]]) / per_output
+        return seen
 
     return control.nlsys(update, output, states=rest.shape[0], dt=model.dt, **names)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -96,9 +95,9 @@ def tried(effect: Effect, where: str, remedy: str = 'see docs/extend.md') -> Non
         if isinstance(settings, str) or max(effect.motors, default=0) >= MOTORS:
             return
         # as a stored model has them: lists and arrays are tuples there
-        stored = json.loads(json.dumps({**settings}, default=lambda value: value.tolist()))
-        part = Part(effect, {name: tuple(value) if isinstance(value, list) else value
-                             for name, value in stored.items()})
+        part = Part(effect, {name: tuple(np.asarray(value).tolist())
+                             if isinstance(value, list | np.ndarray) else value
+                             for name, value in {**settings}.items()})
         with np.errstate(all='ignore'):
             first, other, joint = (_laws(part, start + step, s)
                                    for step in (*steps, steps.sum(axis=0)))
