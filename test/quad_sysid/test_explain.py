@@ -138,6 +138,18 @@ def test_a_gain_that_wanders_is_projected_onto_a_reference_without_it(rubbed_ans
     assert model.total == pytest.approx(first.model.total, abs=1e-3 * found.ladder.rungs[0].total)
 
 
+def test_a_base_without_a_line_of_vibration_is_compared_with_a_reference_that_has_one(
+    rubbed_answer
+):
+    found = rubbed_answer.findings
+    plain, reference = (found.ladder.models.fitted(rung.model) for rung in found.ladder.rungs[:2])
+    lined = base._with_line(found.problem, reference, 20.0, 1.0)
+    assert (plain.structure.lines, lined.structure.lines) == (0, 1)
+    missed, without = (Projection(found.problem, one).disagreement(plain)
+                       for one in (lined, reference))
+    assert missed == pytest.approx(without, abs=0.02 * without.max())
+
+
 def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
     ladder = rubbed_answer.findings.ladder
     lowest, first = ladder.rungs[:2]

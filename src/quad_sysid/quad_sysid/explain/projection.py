@@ -169,26 +169,24 @@ class Projection:
         Windows of one part lie all over the training, for an event shows only after it. later: a
         part is a third of the training's time, so that what drifts is missed as in a later flight.
         """
-        count, structure = self.windows.count, self.structure(fitted.structure.parts)
+        count, structure, theta = self.windows.count, fitted.structure, fitted.theta
         if fitted is self.reference:
             return np.zeros(count)
-        theta = np.concatenate([fitted.theta[: -self.noise.size], self.noise])
-        missed = self._on(np.full(count, True), fitted.prediction).project(
-            structure, theta, most=0).missed
+        missed = self._on(np.full(count, True), fitted).project(structure, theta, most=0).missed
         if count < PARTS:  # too short to be cut
             return missed
         part = np.arange(count) * PARTS // count if later else np.arange(count) % PARTS
         for k in range(PARTS):
             inside = part == k
-            other = self._on(~inside, fitted.prediction).project(structure, theta, most=1)
-            missed[inside] = self._on(inside, fitted.prediction).project(
+            other = self._on(~inside, fitted).project(structure, theta, most=1)
+            missed[inside] = self._on(inside, fitted).project(
                 structure, other.theta, most=0).missed
         return missed
 
-    def _on(self, which: NDArray[np.bool_], states: Prediction) -> Projection:
-        """The same on some of the windows (windows,), from other states."""
+    def _on(self, which: NDArray[np.bool_], fitted: Fit) -> Projection:
+        """The same on some of the windows (windows,), from the states of a fit with its noise."""
         part = copy(self)
-        part.states = states
+        part.states, part.noise = fitted.prediction, fitted.theta[-len(fitted.structure.noise) :]
         part.windows = Windows(self.windows.starts[which], self.windows.length)
         part.goal = self.goal[which]
         return part
