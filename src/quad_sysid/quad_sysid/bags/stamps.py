@@ -156,11 +156,11 @@ def uniform_grid(stamps: IntArray, source: str) -> Grid:
                 stamps=times, warnings=tuple(warnings))
 
 
-def spread(times: FloatArray, values: FloatArray) -> tuple[FloatArray, str]:
+def spread(times: FloatArray, values: FloatArray | None = None) -> tuple[FloatArray, str]:
     """Times (n,) of samples (n, k) that came at one pace, in the order of arrival; what was done.
 
     Those of one tick of a slow clock lie between it and the next; those that arrived together were
-    measured after what arrived before.
+    measured after what arrived before. values: where samples may have been written twice.
     """
     steps = np.diff(times)
     blocks = times[BLOCK:] - times[:-BLOCK]
@@ -170,8 +170,11 @@ def spread(times: FloatArray, values: FloatArray) -> tuple[FloatArray, str]:
         return times, ''
     is_late = bool(np.mean(steps[together] > 0.0) > 0.5)
     low, high = np.quantile(blocks, (0.05, 0.95)) if is_late else (0.0, 0.0)
-    same = np.asarray(np.isclose(values[1:], values[:-1], 0.0, 0.0, equal_nan=True).all(axis=1))
-    is_twice = same[together].mean() - same[~together].mean() > TWICE
+    is_twice = False
+    if values is not None:
+        equal = np.isclose(values[1:], values[:-1], 0.0, 0.0, equal_nan=True)
+        same = np.asarray(equal.all(axis=1))
+        is_twice = same[together].mean() - same[~together].mean() > TWICE
     if is_twice or high - low > STEADY_PACE * high:
         return times, ''
     clock = -times[::-1] if is_late else times

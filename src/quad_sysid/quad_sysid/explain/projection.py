@@ -172,21 +172,21 @@ class Projection:
         count, structure, theta = self.windows.count, fitted.structure, fitted.theta
         if fitted is self.reference:
             return np.zeros(count)
-        missed = self._on(np.full(count, True), fitted).project(structure, theta, most=0).missed
+        own = copy(self)
+        own.states, own.noise = fitted.prediction, theta[-len(structure.noise) :]
         if count < PARTS:  # too short to be cut
-            return missed
+            return own.project(structure, theta, most=0).missed
+        missed = np.empty(count)
         part = np.arange(count) * PARTS // count if later else np.arange(count) % PARTS
         for k in range(PARTS):
             inside = part == k
-            other = self._on(~inside, fitted).project(structure, theta, most=1)
-            missed[inside] = self._on(inside, fitted).project(
-                structure, other.theta, most=0).missed
+            other = own.on(~inside).project(structure, theta, most=1)
+            missed[inside] = own.on(inside).project(structure, other.theta, most=0).missed
         return missed
 
-    def _on(self, which: NDArray[np.bool_], fitted: Fit) -> Projection:
-        """The same on some of the windows (windows,), from the states of a fit with its noise."""
+    def on(self, which: NDArray[np.bool_]) -> Projection:
+        """The same on some of the windows (windows,)."""
         part = copy(self)
-        part.states, part.noise = fitted.prediction, fitted.theta[-len(fitted.structure.noise) :]
         part.windows = Windows(self.windows.starts[which], self.windows.length)
         part.goal = self.goal[which]
         return part

@@ -141,7 +141,7 @@ def unroll(time_s: FloatArray, values: Sequence[FloatArray], where: str) -> Unro
         notes.append(f'{jumps} jumps of the clock: {jumps + 1} experiments, placed {pause:.3g} s '
                      'apart')
     chosen = np.concatenate(long)
-    moment, note = spread(np.concatenate(moments), np.arange(float(chosen.size))[:, None])
+    moment, note = spread(np.concatenate(moments))
     first = np.concatenate(([True], np.diff(moment) > 0.0))
     notes += [note] * bool(note) + _omitted(int((~first).sum()), 'rows that repeat a time')
     chosen, moment = chosen[first], moment[first]

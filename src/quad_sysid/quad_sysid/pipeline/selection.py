@@ -66,7 +66,7 @@ def approaches(z: IOData, gains: CascadeGains | None, *, behind_attitude: bool, 
         Use('direct', possible=True, because='command and rate are recorded'),
         Use('indirect', possible=controller is not None, because=reason),
         Use('joint', possible=not no,
-                 because=no or 'command, rate and reference are recorded'),
+            because=no or 'command, rate and reference are recorded'),
     ), controller
 
 
