@@ -50,6 +50,15 @@ def test_what_says_friction_is_explained_by_friction(rubbed_answer, monkeypatch,
     assert ladder.answer == 1
 
 
+def test_gains_are_designed_with_what_holds_at_other_times_too(rubbed_answer):
+    """A friction as a curve over time predicts the next sample as well, and no later flight."""
+    told = rubbed_answer.findings
+    ladder = explain(told.problem, says(told, 'shape:time/smooth friction'),
+                     candidates(told.problem, EFFECTS)[0])
+    assert ladder.projection.reference.structure.labels == ('shape:time/smooth friction',)
+    assert [part.effect.name for part in ladder.predicting.structure.parts] == ['coulomb_friction']
+
+
 def test_what_the_reference_lacks_does_not_come_again_where_only_that_suffices(
     rubbed_answer, monkeypatch
 ):
@@ -364,3 +373,13 @@ def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
         assert confirmed(shares[:200], *means) > 0.8, means
     if not memory:  # a test of 40 blocks whose variance is known has 0.91
         assert confirmed(shares, 0.3, 0.3, 0.3) > 0.8
+
+
+def test_what_predicts_better_and_is_not_confirmed_is_no_missing_effect_either(rubbed_answer):
+    """The contract: nothing lowers the error beyond chance there."""
+    told = rubbed_answer.findings
+    unseen = accept.Unseen(told.data, told.data.validation)
+    seldom = replace(told.ladder, reproducible={'coulomb_friction': 0.3})
+    verdict = accept.judge(unseen, told.problem, told.search, seldom)
+    assert (verdict.verdict, verdict.claims) == ('unexplained_residual', ())
+    assert verdict.reason

@@ -133,7 +133,7 @@ class Verdict:
     before: float
     after: float
     reference: float
-    """Error of the search's most probable structure, rad/s."""
+    """Error of what predicts other times of the training best, rad/s."""
     rungs: tuple[float, ...]
     """Error of each rung of the ladder, rad/s."""
     rung_fits: tuple[Fit, ...]
@@ -292,7 +292,7 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
     return Verdict(
         verdict=verdict, reason=reason, base=base, chosen=chosen, claims=tuple(claims),
         before=rms(unseen.errors(base)), after=rms(unseen.errors(chosen)),
-        reference=rms(unseen.errors(search.best)),
+        reference=rms(unseen.errors(ladder.predicting)),
         rungs=tuple(rms(unseen.errors(rung)) for rung in rungs), rung_fits=tuple(rungs),
         one_step_before=unseen.one_step(base), one_step_after=unseen.one_step(chosen),
         hold=rms(unseen.holding(unseen.windows)),
@@ -367,6 +367,12 @@ def _empty(ladder: Ladder, unseen: Unseen, base: Fit) -> tuple[str, str]:
         return 'no_missing_effect', (
             f'the base predicts all but {100.0 - ladder.predicts_pct:.1g} % of the motion'
         )
+    richer = ladder.predicting
+    if unseen.p_value(richer, base) <= LEVEL:
+        lower = 1.0 - rms(unseen.errors(richer)) / rms(unseen.errors(base))
+        return 'unexplained_residual', (
+            f'the model that predicts best lowers the held-out error by {100.0 * lower:.0f} %, '
+            'yet no cause of that is confirmed')
     return 'no_missing_effect', ''
 
 

@@ -255,6 +255,16 @@ class Ladder:
         enough = self.sufficient(missed, self.drift, np.ones(missed.shape[1]))
         return self.last if enough is None else enough
 
+    @cached_property
+    def predicting(self) -> Fit:
+        """The answer, a finer rung or the reference: what predicts other times best.
+
+        One step ahead the reference does; what it fits of one time may not come again at another.
+        """
+        rungs = [self.models.fitted(rung.model) for rung in self.rungs[self.answer :]]
+        return min((*rungs, self.projection.reference),
+                   key=lambda fit: float(np.sum(self.projection.later_error(fit))))
+
 
 def explain(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
     """The ladder to the search's most probable structure, and how often its answer comes again.

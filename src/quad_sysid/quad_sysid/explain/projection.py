@@ -169,11 +169,22 @@ class Projection:
         Windows of one part lie all over the training, for an event shows only after it. later: a
         part is a third of the training's time, so that what drifts is missed as in a later flight.
         """
-        count, structure, theta = self.windows.count, fitted.structure, fitted.theta
         if fitted is self.reference:
-            return np.zeros(count)
+            return np.zeros(self.windows.count)
+        return self._cut(fitted, self.goal, later=later)
+
+    def later_error(self, fitted: Fit) -> FloatArray:
+        """(windows,) the same of the measured rates instead of the reference's, `later`."""
+        return self._cut(fitted, np.zeros_like(self.goal), later=True)
+
+    def _cut(self, fitted: Fit, goal: FloatArray, *, later: bool) -> FloatArray:
+        """(windows,) what a model misses of a goal (windows, length) where it has not seen it.
+
+        Arguments as of `disagreement`.
+        """
+        count, structure, theta = self.windows.count, fitted.structure, fitted.theta
         own = copy(self)
-        own.states, own.noise = fitted.prediction, theta[-len(structure.noise) :]
+        own.goal, own.states, own.noise = goal, fitted.prediction, theta[-len(structure.noise) :]
         if count < PARTS:  # too short to be cut
             return own.project(structure, theta, most=0).missed
         missed = np.empty(count)

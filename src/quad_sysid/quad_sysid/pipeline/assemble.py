@@ -38,18 +38,18 @@ def axis_model(findings: Findings, gains: Mapping[str, float], band: tuple[float
                no_gains_because: str = '') -> AxisModel:
     """The completed model where the effects were accepted, the base where not."""
     data, verdict, problem = findings.data, findings.verdict, findings.problem
-    ladder, reference, law = findings.ladder, findings.search.best, problem.plain.law
-    searched, reference_covariance = findings.search, covariance(problem, reference)
+    ladder, searched, law = findings.ladder, findings.search, problem.plain.law
+    reference, best_covariance = ladder.predicting, covariance(problem, searched.best)
 
     def read(fitted: Fit) -> stored.Readings:
-        if fitted is reference:
-            cov = reference_covariance
+        if fitted is searched.best:
+            cov = best_covariance
         elif any(fitted is scored.fit for scored in searched.all) or (
                 fitted is verdict.base and not verdict.claims):
             cov = covariance(problem, fitted)  # what is not confirmed widens nothing
         else:
             projected = Projected(fitted.structure, fitted.theta, np.zeros(0))
-            cov = ladder.projection.covariance(projected, reference_covariance)
+            cov = ladder.projection.covariance(projected, best_covariance)
         return stored.readings(problem, fitted, cov + searched.disagreement(fitted))
 
     def effects(fitted: Fit, answer: stored.Readings,
