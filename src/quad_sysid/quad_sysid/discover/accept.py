@@ -275,7 +275,8 @@ def judge(unseen: Unseen, problem: Problem, search: SearchResult, ladder: Ladder
         if weakest == min(without, key=ladder.rank):
             break  # the main cause, in whose place the others would stand
         answer = without[weakest]
-    commanded = _commands_predict(problem, unseen, chosen)
+    commanded = any(_commands_predict(problem, unseen, fitted)
+                    for fitted in dict.fromkeys((chosen, ladder.predicting)))
     if not commanded or not stays_bounded(unseen.problem, chosen, unseen.predict(chosen)):
         chosen = base
     if chosen is base:

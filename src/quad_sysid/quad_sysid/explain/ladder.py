@@ -261,6 +261,8 @@ class Ladder:
 
         One step ahead the reference does; what it fits of one time may not come again at another.
         """
+        if not self.projection.reference.structure.parts:  # there is no other one
+            return self.projection.reference
         rungs = [self.models.fitted(rung.model) for rung in self.rungs[self.answer :]]
         return min((*rungs, self.projection.reference),
                    key=lambda fit: float(np.sum(self.projection.later_error(fit))))
@@ -477,13 +479,13 @@ def _explained(trajectory: Trajectory, part: Part, linear: list[int], p: FloatAr
 def resampled(
     problem: Problem, search: SearchResult, ladder: Ladder
 ) -> tuple[int, dict[str, float]]:
-    """Number of blocks; name of each effect of the answer → how often it is in it again.
+    """Number of blocks; name of each effect of the answer → how often it comes again.
 
     Bagged posteriors (Huggins, Miller 2023): blocks of the training are weighted at random (a
     Bayesian bootstrap, Rubin 1981). With the same weights each fitted structure has another
-    evidence, so that another reference may lead, and each rung explains another share of it. An
-    effect comes again where the lowest rung that suffices has it, and it is no negligible part of
-    what is explained.
+    evidence, so that another reference may lead. An effect comes again where its rung takes away
+    no negligible part of what the base misses of that one. Whether the rungs below it already
+    suffice there does not count: one that explains about EXPLAINS would halve what is sure.
     """
     block = problem.blocks(BLOCK_S)
     entries = search.all[:MOST_STRUCTURES]
@@ -497,12 +499,10 @@ def resampled(
     weights *= blocks / weights.sum(axis=1, keepdims=True)
     leading = np.argmax(prior + weights @ logs.T, axis=1)
     rows = np.searchsorted(problem.rows, ladder.projection.windows.starts)
-    of_window = block[np.clip(rows, 0, block.size - 1)]
-    rungs = ladder.rungs[: ladder.last + 1]
-    names = [{part.effect.name for part in rung.model.structure.parts} for rung in rungs]
+    weights = weights[:, block[np.clip(rows, 0, block.size - 1)]]
+    rungs = ladder.rungs[: ladder.answer + 1]
     fits = [ladder.models.fitted(rung.model) for rung in rungs]
-    added = [{part.effect.name for part in rung.model.structure.parts if part.effect.label in new}
-             for new, rung in zip(ladder.new, rungs[1:], strict=False)]
+    added = [_added(rung.model).name for rung in rungs[1:]]
     counts: Counter[str] = Counter()
     for index, count in Counter(leading.tolist()).most_common():
         reference = entries[index].fit
@@ -510,16 +510,11 @@ def resampled(
             continue
         missed, drift = (np.array([rung.missed for rung in rungs]), ladder.drift) \
             if reference is search.best else _missed(Projection(problem, reference), fits)
-        for draw in np.flatnonzero(leading == index):
-            enough = ladder.sufficient(missed, drift, weights[draw, of_window])
-            if enough is None and reference is search.best:  # as for the flight as it was
-                enough = ladder.last
-            if enough:
-                total = missed[: enough + 1] @ weights[draw, of_window]
-                causes = -np.diff(total) >= NEGLIGIBLE * total[0]
-                # the whole reference, on the last rung, may lack a law that did for its curve
-                counts.update(names[enough] & set().union(*compress(added, causes)))
-    answer = rungs[ladder.answer].model.structure.parts
+        for weight in weights[leading == index]:
+            if not ladder.slight(drift[None], weight)[0]:
+                total = missed @ weight
+                counts.update(set(compress(added, -np.diff(total) >= NEGLIGIBLE * total[0])))
+    answer = rungs[-1].model.structure.parts
     return blocks, {part.effect.name: counts[part.effect.name] / RESAMPLES for part in answer}
 
 
