@@ -377,7 +377,7 @@ def test_a_claim_is_confirmed_by_chance_in_one_case_of_twenty(memory):
 def test_what_predicts_better_and_is_not_confirmed_is_no_missing_effect_either(
     rubbed_answer, monkeypatch
 ):
-    """The contract: nothing lowers the error beyond chance there, and a poor base tells nothing."""
+    """The contract: nothing lowers the error beyond chance there; a poor base is no reason."""
     monkeypatch.setattr(accept, '_commands_predict', lambda *of: bool(of[-1].structure.parts))
     told = rubbed_answer.findings
     unseen = accept.Unseen(told.data, told.data.validation)
