@@ -48,7 +48,6 @@ def test_yaw_that_turns_through_half_a_turn_keeps_its_reference():
 
 
 def test_the_simulated_loop_begins_at_the_angle_of_the_flight(plain_flight, plain_answer):
-    """A yaw of 3 rad is no step of 3 rad."""
     turned = replace(plain_flight, angles=plain_flight.angles + 3.0,
                      attitude_setpoint=plain_flight.attitude_setpoint + 3.0)
     data = axis_data([turned], 'roll')

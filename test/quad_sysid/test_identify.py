@@ -102,7 +102,6 @@ def test_measurement_noise_is_what_was_added_with_a_gap_or_a_filter(lost, hz):
 
 
 def test_two_flights_are_fitted_together(plain, plain_flight, other_flight):
-    """Twice the data: most standard errors fall, and the truth is still inside."""
     for stretch, told in ((PPM_250, False), (1.001, True)):
         both = base_of(plain_flight, other_flight.at_interval(other_flight.dt * stretch))
         assert any("taken as the first bag's 250 Hz" in w for w in both.warnings) is told

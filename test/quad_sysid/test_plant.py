@@ -324,7 +324,6 @@ FALLS = ('pendulum_stiffness', 'from the rate', [30.0, -12.0])
     ((('mode:loose_load', 'turning', [4.0, 4.0, 0.3, 0.0, 0.5]),), 0.15),
 ], ids=['base', 'two modes', 'second lag', 'falls', 'slow state', 'loose load'])
 def test_the_edge_of_stability_by_margins_is_that_of_the_simulated_flight(found, tolerance):
-    """The gain at which eigenvalues leave the unit circle is that at which a flight swings."""
     effects = tuple(estimate_of(name, p, variant) for name, variant, p in found)
     level: Level = (0.1, 0.01, 0.01)
 
