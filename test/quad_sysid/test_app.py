@@ -28,7 +28,7 @@ from probe import PATIENCE_S
 
 from quad_sysid.app.commands import commands, named_columns
 from quad_sysid.app.folder import RefusedError, entries, new_file, receive
-from quad_sysid.app.jobs import JOB_FILE, Job, Queue, expected, follow
+from quad_sysid.app.jobs import JOB_FILE, MOST_WAITING, Job, Queue, expected, follow
 from quad_sysid.cli import main
 from quad_sysid.contract import MIXER_INVERSE
 from quad_sysid.files import UNFINISHED
@@ -286,7 +286,7 @@ def test_gains_for_px4_need_the_scale_of_each_axis(tmp_path):
     assert command[2][-4:] == ['--scale', 'roll=0.25', '--scale', 'pitch=0.5']
 
 
-def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all(tmp_path):
+def test_jobs_without_their_bag_of_an_earlier_start_or_many_at_once_are_in_the_queue(tmp_path):
     (tmp_path / 'log.bin').write_bytes(b'\xa3\x95')
     queue = Queue(tmp_path / 'results')
     made = queue.add('import log.bin', 'quad-sysid', ['import', str(tmp_path / 'log.bin')])
@@ -304,6 +304,10 @@ def test_without_its_bag_an_identification_says_why_and_the_next_start_shows_all
     later, earlier = Queue(tmp_path / 'results').all()
     assert (earlier.title, earlier.state, earlier.text()) == (made.title, 'failed', made.text())
     assert (later.state, later.doing) == ('stopped', 'the app ended first: start it again')
+    many = [('import', 'quad-sysid', ['import'])] * (MOST_WAITING + 2)
+    assert len(queue.add_all(many).after) == MOST_WAITING + 1  # which wait: it is closed
+    with pytest.raises(RefusedError, match='20 jobs wait already'):
+        queue.add_all(many)
 
 
 def test_a_folder_that_is_gone_or_has_an_app_is_one_line(started, tmp_path, refused):
@@ -650,7 +654,7 @@ def test_what_is_dropped_is_named_and_a_server_that_has_ended_too(
     drop(long)
     browser.until(f"{said}.includes('{long.name} is there')")
     assert browser.fits(390)
-    drop(plain_bag)  # a folder
+    drop(shutil.copytree(plain_bag, tmp_path / 'day' / 'first').parent)  # of folders
     browser.until(f"{said}.includes('.mcap')")
     browser.choose('a_2.csv')
     drop(tmp_path / 'notes.doc')

@@ -215,10 +215,9 @@ def test_two_flights_with_a_reboot_between_them_in_one_log_follow_each_other(
     path.write_bytes(content)
     record, notes = imported(path, tmp_path / 'bag')
     assert 'its clock begins anew 1 times: 2 flights' in notes
-    first, second = record.rates[:N], record.rates[-N:]
     assert record.n == pytest.approx(2 * N + 1250, abs=2)  # 2 s, and 3 s from boot to flight
-    np.testing.assert_allclose(first, flight.rates, atol=1e-4)
-    np.testing.assert_allclose(second, -flight.rates, atol=1e-4)
+    np.testing.assert_allclose(record.rates[:N], flight.rates, atol=1e-4)
+    np.testing.assert_allclose(record.rates[-N:], -flight.rates, atol=1e-4)
     np.testing.assert_allclose(record.control[:N], flight.control, atol=1e-4)
     gains = [record.gains_at(t)['roll.rate.kp'] for t in (0.0, record.n * record.dt)]
     assert gains[1] / gains[0] == pytest.approx(0.2 / 0.135)
@@ -498,6 +497,19 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
     assert '--log: the file holds one log: found 2; leave it out' in refused(
         main, 'import', path, '--log', 2, '--out', tmp_path / 'b')
+
+
+@pytest.mark.skipif(not SAMPLE.exists(), reason='no folder shared/data beside the checkout')
+def test_frames_behind_damage_wait_for_one_that_builds_on_none(tmp_path):
+    pytest.importorskip('orangebox')
+    raw = (SAMPLE.parents[1] / 'autopilots/bf_sitl_quad.BFL').read_bytes()[:100_000]
+    read = []
+    for content in (raw, raw[:50_000] + bytes(400) + raw[50_400:]):
+        (tmp_path / 'log').write_bytes(content)
+        rates = betaflight.read(tmp_path / 'log').rates
+        read.append({*map(tuple, np.column_stack([rates.time_s, rates.values]).tolist())})
+    assert 0 < len(read[0] - read[1]) < 100
+    assert read[1] < read[0]
 
 
 def test_a_gain_that_a_knob_turns_has_the_time_of_the_log(flight, tmp_path):

@@ -71,9 +71,9 @@ def commented_header() -> str:
 def in_frd(*, told_by_gravity: bool) -> str:
     turned = {name: sign * FLOWN[name] for name, sign in zip(
         (*RATES, *ANGLES), (*FRD, *FRD), strict=True)}
-    gravity = {'ax': np.zeros(N), 'ay': np.zeros(N), 'az': np.full(N, -9.8)}
     noise = np.random.default_rng(1)
-    gravity = {k: v + 0.1 * noise.standard_normal(N) for k, v in gravity.items()}
+    gravity = {name: mean + 0.1 * noise.standard_normal(N)
+               for name, mean in (('ax', 0.0), ('ay', 0.0), ('az', -9.8))}
     return text_of({**some(*PLAIN), **turned, **(gravity if told_by_gravity else {})})
 
 
@@ -118,8 +118,8 @@ MADE = {
         {'time_gps': SLOW_CLOCK, 'timestamp_us': np.rint(1e6 * FLOWN['t']), **some(*PLAIN[1:])})),
     'one infinite value': Made(one_infinite, lost=(1499,)),
     'quaternions': Made(lambda: text_of({**some(*PLAIN), **dict(zip(
-        ('qw', 'qx', 'qy', 'qz'), quaternions(np.column_stack([FLOWN[a] for a in ANGLES])).T,
-        strict=True))}), ('attitude.roll',), angles=True),
+        ('qw', 'qx', 'qy', 'qz'), quaternions(FLIGHT['angles']).T, strict=True))}),
+        ('attitude.roll',), angles=True),
     'forward, right, down': Made(lambda: in_frd(told_by_gravity=True),
                                  ('forward, right, down', '-9.8 m/s²'), angles=True),
     'the same, as the user says': Made(
@@ -163,25 +163,24 @@ def test_a_table_comes_back_as_flown_by_the_command_that_is_printed(
     said = ' '.join(out.split())
     assert [word for word in case.words if word not in said] == []
     record = read_bag(tmp_path / 'log_bag')
-    motors = np.column_stack([FLOWN[m] for m in MOTORS])
-    motors = np.where(FLOWN['t'][:, None] < 0.2, 0.0, motors) if '900' in name else motors
-    check(record, np.column_stack([FLOWN[r] for r in RATES]), motors @ MIX[:, 1:] / 4.0, case.lost)
+    stopped = '900' in name and FLOWN['t'][:, None] < 0.2
+    motors = np.where(stopped, 0.0, FLIGHT['motors'])
+    check(record, FLIGHT['rates'], motors @ MIX[:, 1:] / 4.0, case.lost)
     np.testing.assert_allclose(record.motors, motors, atol=1e-6)
     assert record.dt == pytest.approx(DT)
     if case.angles:
-        angles = np.column_stack([FLOWN[a] for a in ANGLES])
-        assert np.abs(np.mod(record.angles - angles + np.pi, 2 * np.pi) - np.pi).max() < 1e-3
+        turned = np.mod(record.angles - FLIGHT['angles'] + np.pi, 2 * np.pi) - np.pi
+        assert np.abs(turned).max() < 1e-3
 
 
 def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, printed):
     from scipy.io import savemat
     monkeypatch.chdir(tmp_path)
-    savemat('log.mat', {'log': {'t': FLOWN['t'], 'gyro': np.column_stack(
-        [FLOWN[r] for r in RATES]), **{m: FLOWN[m] for m in MOTORS}}, 'note': 'a flight'})
+    savemat('log.mat', {'log': {'t': FLOWN['t'], 'gyro': FLIGHT['rates'], **some(*MOTORS)},
+                        'note': 'a flight'})
     _, words = listed(tmp_path / 'log.mat', printed)
     assert main(words) == 0
-    check(read_bag(tmp_path / 'log_bag'), np.column_stack([FLOWN[r] for r in RATES]),
-          np.column_stack([FLOWN[m] for m in MOTORS]) @ MIX[:, 1:] / 4.0)
+    check(read_bag(tmp_path / 'log_bag'), FLIGHT['rates'], FLIGHT['motors'] @ MIX[:, 1:] / 4.0)
 
 
 @pytest.mark.parametrize(('first', 'words'), [
@@ -216,6 +215,10 @@ def test_a_damaged_description_of_parameters_costs_the_parameters_alone(tmp_path
     damaged = raw.replace(labels, labels.replace(field, b'#' + field[1:]))
     log = read_binary(np.frombuffer(damaged, np.uint8), ['BAT'])
     assert (log.parameters, log.columns['BAT.Volt'].tolist()) == ({}, [12.0] * 8)
+    other = b'\xa3\x95\xc8 of a kind whose description is lost'
+    end = len(raw) - 8 * 15  # of what describes
+    raw = raw[:end] + b''.join(raw[i : i + 15] + other for i in range(end, len(raw), 15))
+    assert read_binary(np.frombuffer(raw, np.uint8), ['BAT']).columns['BAT.Volt'].size == 8
 
 
 @dataclass(frozen=True)

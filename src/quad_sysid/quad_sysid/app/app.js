@@ -50,11 +50,11 @@ const upload = guarded(async picked => {
   if (paths.length) { chosen.clear(); paths.forEach(path => chosen.add(path)); clearWindows(); }
   await listFiles();
 });
-async function within(entry) { // the files of what is dropped: of a bag, which is a folder, those with data
+async function within(entry) { // the files of what is dropped: of folders those with data, at any depth
   if (entry.isFile) return [await new Promise((take, fail) => entry.file(take, fail))];
   const reader = entry.createReader(), found = [];
   for (let some; (some = await new Promise((take, fail) => reader.readEntries(take, fail))).length;) found.push(...some);
-  return (await Promise.all(found.filter(one => one.isFile && one.name !== 'metadata.yaml').map(within))).flat();
+  return (await Promise.all(found.filter(one => one.name !== 'metadata.yaml').map(within))).flat();
 }
 const start = (kind, given) => () => {
   const body = {kind, files: [...chosen], axis: $('axis').value, to: $('to').value, scale: $('scale').value.trim(), ...(given && given())};

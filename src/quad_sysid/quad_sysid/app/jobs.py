@@ -121,12 +121,18 @@ class Queue:
         self._thread = threading.Thread(target=self._work, name='jobs', daemon=True)
         self._thread.start()
 
-    def add(self, title: str, program: str, arguments: Sequence[str],
-            after: Sequence[Job] = ()) -> Job:
-        """Put a job at the end and make its folder. RefusedError where too many wait."""
+    def add_all(self, commands: Sequence[tuple[str, str, Sequence[str]]]) -> Job:
+        """Put all, or none, at the end (RefusedError: too many wait). The last needs the rest."""
+        *before, last = commands
         with self._wake:
             if sum(job.state == 'waiting' for job in self._jobs.values()) >= MOST_WAITING:
                 raise RefusedError(f'{MOST_WAITING} jobs wait already: stop some')
+            return self.add(*last, after=[self.add(*one) for one in before])
+
+    def add(self, title: str, program: str, arguments: Sequence[str],
+            after: Sequence[Job] = ()) -> Job:
+        """Put a job at the end and make its folder."""
+        with self._wake:
             number = self._last + 1
             while (folder := self._place / f'{number:03d}').exists():
                 number += 1

@@ -172,9 +172,8 @@ class App:
             request_tree = dict(json.loads(raw))
         except (ValueError, TypeError) as error:
             raise RefusedError('is not JSON') from error
-        *before, last = commands(self.folder, request_tree, self.queue.promised())
-        jobs = [self.queue.add(*one) for one in before]
-        return _json(_job_tree(self.queue.add(*last, after=jobs)))
+        asked = commands(self.folder, request_tree, self.queue.promised())
+        return _json(_job_tree(self.queue.add_all(asked)))
 
     def _job(self, request: Request) -> Job:
         job = self.queue.get(request.path_params['number'])

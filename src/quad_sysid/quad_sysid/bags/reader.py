@@ -18,6 +18,7 @@ from quad_sysid.bags.odometry import BARO, ODOM, moving
 from quad_sysid.bags.orientation import UNMEASURED, euler_angles
 from quad_sysid.bags.stamps import SEVERAL, Grid, new_rows, spread, uniform_grid
 from quad_sysid.bags.storage import Storage
+from quad_sysid.bags.stored.files import storage_in
 from quad_sysid.contract import TOPIC_TYPES, FloatArray
 from quad_sysid.craft import Craft, X, from_urdf
 from quad_sysid.errors import BadInputError
@@ -192,9 +193,12 @@ def _read(path: Path) -> _Content:
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
     """The craft that the bag describes; the contract's X frame where it does not."""
     if not content.description:
-        if LATER_PART.search(source) and Path(source).is_file():
-            warnings.append(f'is one file of a split bag by its name, and has no {DESCRIPTION}: '
-                            "the contract's X frame holds; read the whole bag")
+        path = Path(source)
+        first = path if path.is_file() else storage_in(path.iterdir())[0]
+        if LATER_PART.search(first.name) and first.name.partition('.')[0] != path.name:
+            warnings.append(f'begins with {first.name}, by its name a later file of a split bag, '
+                            f"and has no {DESCRIPTION}: the contract's X frame holds; read the "
+                            'whole bag')
         return X
     try:
         craft = from_urdf(content.description)

@@ -363,11 +363,14 @@ def _frames(parser: Any, places: Sequence[int], width: int,
 
     Behind one, frames count from the next that does not build on those before.
     """
-    values, faults, waiting, place = array('d'), 0, False, -1
+    values, faults, waiting, place, invalid = array('d'), 0, False, -1, 0
     while parser.reader.tell() > place:  # behind a fault it reads on where it stands
         place = parser.reader.tell()
         try:
             for frame in parser.frames():
+                if parser._ctx.invalid_frame_count > invalid:  # noqa: SLF001 - bytes that it skipped
+                    faults, waiting = faults + 1, True
+                invalid = parser._ctx.invalid_frame_count  # noqa: SLF001
                 waiting &= frame.type.value != INTRA
                 data = frame.data
                 if len(data) >= width - 1 and not waiting:

@@ -182,7 +182,7 @@ def _set(log: Log, rows: NDArray[np.void], times: NDArray[np.float64]) -> None:
     """Take parameters, unless a damaged description of their messages lacks a field."""
     if {'Name', 'Value'} <= {*(rows.dtype.names or ())}:
         for parameter, value, time_s in zip(rows['Name'], rows['Value'], times, strict=True):
-            log.set(_text(parameter), float(value), float(time_s))
+            log.set(parameter.decode('latin-1'), float(value), float(time_s))
 
 
 def _clock(messages: Mapping[str, NDArray[np.void]]) -> str:
@@ -224,8 +224,6 @@ def _headers(data: NDArray[np.uint8], numbers: Collection[int]) -> NDArray[np.in
     out = []
     for low in range(0, len(data), BLOCK):
         part = data[low : low + BLOCK + 2]
-        if part.size < 3:
-            continue
         hit = (part[:-2] == MAGIC[0]) & (part[1:-1] == MAGIC[1]) & is_kind[part[2:]]
         out.append(np.flatnonzero(hit) + low)
     return np.concatenate(out) if out else np.zeros(0, dtype=np.int64)
@@ -242,11 +240,12 @@ def _whole(
     lengths = np.zeros(256, dtype=np.int64)
     for number, kind in kinds.items():
         lengths[number] = kind.length
-    offsets = _headers(data, kinds)
+    begins = _headers(data, range(256))  # also of messages whose description is lost
+    offsets = begins[lengths[data[begins + 2]] > 0]
     end = offsets + lengths[data[offsets + 2]]
     inside = end <= len(data)
     offsets, end = offsets[inside], end[inside]
-    is_whole = np.isin(end, offsets, assume_unique=False) | (end == len(data))
+    is_whole = np.isin(end, begins) | (end == len(data))
     valid: list[NDArray[np.int64]] = []
     runs = np.flatnonzero(np.diff(is_whole.astype(np.int8), prepend=0, append=0))
     behind = 0
@@ -314,10 +313,6 @@ def _unpacked(data: NDArray[np.uint8], starts: NDArray[np.int64], kind: Kind) ->
     return out.reshape(-1).view(kind.dtype)
 
 
-def _text(raw: bytes) -> str:
-    return raw.rstrip(b'\0').decode('latin-1')
-
-
 def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
     """Read a text log: lines of names and numbers, described by its FMT lines."""
     log, labels = Log(), {}
@@ -341,19 +336,16 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
             log.skipped += len(line)
             log.bursts += 1
             continue
-        if name == 'PARM':
-            row = dict(zip(names, cells, strict=False))
-            at_s = next((TIMES[c] * _number(row[c]) for c in TIMES if c in row), now)
-            parameters.append((row.get('Name', ''), _number(row.get('Value', ''))))
-            clocks.setdefault(name, []).append(at_s)
-            places.setdefault(name, []).append(number)
-            continue
         clock = next((c for c in TIMES if c in names), None)
         numbers = [_number(cell) for cell in cells[: len(names)]]
         if clock is not None:
             now = TIMES[clock] * numbers[names.index(clock)]
             log.in_ms |= clock == 'TimeMS'
-        rows.setdefault(name, []).append(numbers)
+        if name == 'PARM':
+            row = dict(zip(names, cells, strict=False))
+            parameters.append((row.get('Name', ''), _number(row.get('Value', ''))))
+        else:
+            rows.setdefault(name, []).append(numbers)
         clocks.setdefault(name, []).append(now)
         places.setdefault(name, []).append(number)
     stamps, log.restarts = _in_turn(
@@ -362,18 +354,11 @@ def read_text(lines: Iterable[str], kinds: Collection[str]) -> Log:
     for (parameter, value), time_s in zip(parameters, stamps.get('PARM', ()), strict=True):
         log.set(parameter, value, float(time_s))
     for name, some in rows.items():
-        _keep(log, name, labels[name], np.array(some), stamps[name])
+        columns = {f'{name}.{label}': values.copy() for label, values in zip(
+            labels[name], np.array(some).T, strict=False) if np.isfinite(values).any()}
+        log.columns |= columns
+        log.times |= dict.fromkeys(columns, stamps[name])
     return log
-
-
-def _keep(
-    log: Log, name: str, labels: Sequence[str], array: FloatArray, times: FloatArray
-) -> None:
-    """Take the columns of a text's message, as far as they hold numbers."""
-    for i, label in enumerate(labels):
-        if np.isfinite(array[:, i]).any():
-            log.columns[f'{name}.{label}'] = array[:, i].copy()
-            log.times[f'{name}.{label}'] = times
 
 
 def _is_used(name: str, labels: Sequence[str], kinds: Collection[str]) -> bool:

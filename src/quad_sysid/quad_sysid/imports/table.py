@@ -97,8 +97,9 @@ class Table:
 
     @property
     def messages(self) -> str:
-        """Names of the messages with columns, for an error."""
-        return ', '.join(sorted({name.partition('.')[0] for name in self.columns}))
+        """Names of the messages with columns, and what could not be read, for an error."""
+        names = ', '.join(sorted({name.partition('.')[0] for name in self.columns}))
+        return '; '.join([*filter(None, [names]), *self.notes])
 
     def on_clock(self, name: str, unit: Unit) -> Table:
         """The other columns at the times in the column `name`.
