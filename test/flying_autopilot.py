@@ -263,7 +263,7 @@ class Flying(Autopilot):
             torque, limit = loop(i, self.rate_sp[i], self.measured[i], *(p[n] for n in names[i]))
             self.integral[i] = min(max(self.integral[i], -limit), limit)
             out.append(torque)
-        if self.mode == SYSTEM_ID:  # at the mixer's input
+        if self.mode == SYSTEM_ID and p['SID_AXIS']:  # at the mixer's input
             out[int(p['SID_AXIS']) - 10] += self.injected
         self.torque = [min(max(v, -1.0), 1.0) if math.isfinite(v) else 0.0 for v in out]
 

@@ -149,13 +149,18 @@ def test_gains_are_read_written_watched_and_confirmed(flying, name):
     active = line.updates.active
     assert active['roll.rate.kp'] == pytest.approx(unit * before, rel=1e-4)
     assert active['sensor.gyro_filter_hz'] == 40.0
-    wanted = 2.4 * unit * before
-    line.ask(roll_rate_kp=wanted)  # in two steps: answers to questions come after the second
+    wanted, d = 2.4 * unit * before, 'MC_ROLLRATE_D' if name == 'px4' else 'ATC_RAT_RLL_D'
+    damping, kd = line.controller.parameters[d], active['roll.rate.kd'] + 1e-8  # as rounded
+    line.ask(roll_rate_kp=wanted, roll_rate_kd=kd)  # in two steps: answers come after the second
     line.fly(5.0)
     assert line.controller.parameters[P[name]] == pytest.approx(2.4 * before, rel=1e-5)
+    assert line.controller.parameters[d] == damping  # PX4 up to 1.13 does not store such a change
     assert line.updates.state is State.WATCHING
     assert line.kept()['trial']['good'][P[name]] == pytest.approx(before)
+    with pytest.raises(RefusedError, match='an earlier update is in flight'):
+        line.ask(roll_rate_kp=wanted)
     line.fly(10.0)
+    assert line.updates.refused == ''
     assert line.updates.state is State.IDLE
     assert line.updates.active['roll.rate.kp'] == pytest.approx(wanted, rel=1e-4)
     assert 'trial' not in line.kept()
@@ -176,17 +181,23 @@ def test_a_disk_that_fills_between_two_steps_ends_the_trial(flying, name):
 
 
 @both
-def test_a_bridge_that_ends_takes_back_what_nobody_would_watch(flying, name):
+@pytest.mark.parametrize('cut_s', [0.0, 4.0])
+def test_a_bridge_that_ends_takes_back_what_nobody_would_watch(flying, name, cut_s):
+    """An aircraft that is not heard may hear the bridge all the same."""
     line, p = flying(name), P[name]
-    before = line.controller.parameters[p]
-    line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
+    before, active = dict(line.controller.parameters), line.updates.active
+    line.ask(**{f'roll_rate_{n}': 1.4 * active[f'roll.rate.{n}'] for n in ('kp', 'ki', 'kd')})
     line.fly(1.0)
-    assert line.controller.parameters[p] > 1.3 * before
+    assert line.controller.parameters[p] > 1.3 * before[p]
     line.updates.end('the node was deactivated')
     assert not line.aircraft.at_rest
+    line.down.cut = cut_s > 0.0
+    line.fly(cut_s)
+    assert line.controller.parameters == before or not cut_s
+    line.down.cut = False
     line.fly(1.0)
     assert line.aircraft.at_rest
-    assert line.controller.parameters[p] == before
+    assert line.controller.parameters == before
     assert line.updates.state is State.IDLE
     assert 'trial' not in line.kept()
 
@@ -279,15 +290,24 @@ def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, 
     line.segment(signal='chirp', injection='control', **CHIRP)
     line.excite(4.0, 0.0)
     assert line.controller.mode != before
+    if not opened:  # it may hear without being heard
+        line.down.cut = True
+        line.fly(1.0)
+        assert line.controller.parameters['SID_AXIS'] == 0
     lose(line, gap_s, opened=opened)
     assert line.controller.mode == before
     line.ask(roll_rate_kp=1.4 * line.updates.active['roll.rate.kp'])
     line.fly(3.0)
     assert line.controller.parameters[p] != sound[p]
+    told = []
+    if opened:  # in a rollback, whose answer waits until they are back
+        line.updates.ask({'rollback': True}, 1e-9 * line.now_ns,
+                         lambda ok, _: told.append((ok, line.controller.parameters[p])))
     line.updates.restarted()
     assert line.updates.state is State.IDLE
     assert not line.aircraft.at_rest  # a bridge that ends now waits for the way back
     lose(line, max(gap_s, 1.5), opened=opened)
+    assert told == [(True, sound[p])] * opened
     assert line.controller.parameters == sound
     assert line.aircraft.at_rest
 
@@ -630,7 +650,7 @@ NOW_S = 100.0
 HOVER = {'mode': flown.POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1, -0.1, 1.0),
          'sticks': (0.1, 0.0, -0.2, 0.0), 'volts': 12.5, 'height_m': 3.0,
          'height_source': 'the barometer', 'height_s': NOW_S,
-         'place': (1.0, 2.0, -3.0), 'attitude_s': NOW_S, 'beat_s': NOW_S,
+         'place': (1.0, 2.0, -3.0), 'volts_s': NOW_S, 'attitude_s': NOW_S, 'beat_s': NOW_S,
          'sticks_s': NOW_S, 'calm_since_s': NOW_S - 2.0}
 
 
@@ -647,6 +667,7 @@ HOVER = {'mode': flown.POSITION_MODE, 'armed': True, 'landed': 2, 'angles': (0.1
     ({'height_source': 'LOCAL_POSITION_NED'}, 'by the barometer is not known'),
     ({'place': (5.0, 5.1, -3.0)}, '5.1 m from where'), ({'place': (-2.5, -1.5, 9.0)}, ''),
     ({'volts': 11.49}, 'battery has sunk to 11.5'), ({'volts': 11.51}, ''),
+    ({'volts_s': NOW_S - 5.1}, 'not reported any more'), ({'volts_s': NOW_S - 4.9}, ''),
     ({'attitude_s': NOW_S - 0.31}, 'stale: no attitude'), ({'attitude_s': NOW_S - 0.29}, ''),
     ({'beat_s': NOW_S - 2.6}, 'stale: no heartbeat'), ({'beat_s': NOW_S - 2.4}, ''),
 ])  # fmt: skip
@@ -809,8 +830,7 @@ def test_one_screen_says_whether_it_is_ready_and_what_to_change(flying, name):
     assert screen[0] == f'  ok  {"PX4 1.16" if name == "px4" else "ArduPilot 4.6"}, an X frame'
     bad = [row for row in screen if row.startswith('  --')]
     assert any(row.startswith(f'  --  log {log} 1: set {log} to') for row in bad)
-    assert any('Hz: below 100 Hz identify from the log' in row
-               for row in bad)  # fmt: skip
+    assert any('Hz: below 100 Hz identify from the log' in row for row in bad)
     assert screen[-1] == f'{len(bad)} of {len(screen) - 1} lines are not as they should be'
 
 

@@ -314,10 +314,13 @@ def test_the_node_publishes_what_it_can_and_says_what_is_missing(tmp_path, probe
         probe.until(lambda: probe.diagnostics('serial_bridge: gains') == REFUSED)
         answer = probe.call('/serial_bridge/check_polarity')
         assert answer.message.startswith('ArduPilot takes no test pulses')
+        later = LAYOUTS['ardupilot_hexa_x'].to_urdf()
+        probe.deliver('/robot_description', {'data': later})
+        probe.until(lambda: len(heard['/motors/command'][-1].effort) == 6)
         assert bridge.end() == 0
     assert heard['/control/wrench'] == []
     assert heard['/imu/data'][-1].linear_acceleration.z == pytest.approx(9.81, abs=0.01)
-    assert heard['/motors/command'][-1].effort == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert heard['/motors/command'][-1].effort == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0, 0.0])
     assert heard['/motors/state'][-1].velocity[0] == pytest.approx(200 * math.pi)
     craft = from_urdf(heard['/robot_description'][0].data)
     assert craft.places == ('right', 'left', 'front', 'rear')

@@ -19,6 +19,7 @@ PAGES = [
 @pytest.mark.parametrize('path', PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_what_a_page_names_exists(path: Path) -> None:
     text = path.read_text()
+    assert '\n>>>>>>> ' not in text  # of a merge
     targets = set(re.findall(r'^([a-z-]+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
     named = re.findall(r'`make ([a-z-]+)|^\s*(?:\$ )?make ([a-z-]+)', text, re.MULTILINE)
     assert {a or b for a, b in named} <= targets

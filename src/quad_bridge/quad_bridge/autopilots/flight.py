@@ -32,6 +32,7 @@ STICK = 0.15  # share of its way by which a stick has been moved
 POSITION, BAROMETER = 'LOCAL_POSITION_NED', 'the barometer'
 GAP_S = 1.0  # without an attitude, behind which rate and calm are measured anew
 HEIGHT_S = 1.0  # after which a height is not known any more
+BATTERY_S = 5.0  # the same of a voltage, which a slow line brings every other second
 METRES_PER_HPA = 8.43  # of the standard atmosphere at sea level
 BARO_S = 0.5  # time constant of the pressure: its noise is a metre, a climb lasts seconds
 ENOUGH, WINDOW = 100, 250  # arrivals over which their rate is counted
@@ -51,6 +52,7 @@ class FlightState:
     sticks: tuple[float, ...] = ()  # roll, pitch, throttle, yaw, -1..1
     failsafe: bool = False
     volts: float = math.nan
+    volts_s: float = -math.inf
     place: Vector3 | None = None
     speed: Vector3 | None = None
     height_m: float | None = None
@@ -84,8 +86,8 @@ class FlightState:
                 self._thrusts.append((now_s, frame.thrust))
         elif isinstance(frame, f.RcChannels):
             self._take_sticks(frame, now_s)
-        elif isinstance(frame, f.Battery):
-            self.volts = frame.voltage_v
+        elif isinstance(frame, f.Battery) and math.isfinite(frame.voltage_v):
+            self.volts, self.volts_s = frame.voltage_v, now_s
         elif isinstance(frame, f.LocalPosition):
             self.place, self.speed, self.place_s = frame.place, frame.speed, now_s
             self.height_m, self.climb_m_s = -frame.place[2], -frame.speed[2]

@@ -23,6 +23,7 @@ Request = f.ParamSet | f.ParamRequestRead
 TRIES = 4
 REPEAT_S, LOOK_S = 0.25, 0.25  # between two tries; between two looks at what is on trial
 AT_ONCE = 8  # names that are asked for at the same time
+UNNOTICED = 1.2e-7  # a smaller change PX4 does not notice, up to 1.13 it does not store it either
 STALE_S = 1.0
 """So long after a write an answer may still bear the value of before: ArduPilot answers questions
 in a queue of its own, later than writes."""
@@ -131,13 +132,12 @@ class ParameterGains:
             targets = self._table.parameters(writes, self.values, units)
         except UnfitError as error:
             raise RefusedError(str(error)) from error
-        for name, value in targets.items():
+        for name in targets:
             if name not in self.values:
                 raise RefusedError(f'{name}: not reported by the autopilot, so no value to '
                                    'return to')
-            if not math.isfinite(value):
-                raise RefusedError(f'{name}: must be finite: found {value}')
-        targets = {name: float32(value) for name, value in targets.items()}
+        targets = {name: float32(value) if abs(value - self.values[name]) > UNNOTICED
+                   else self.values[name] for name, value in targets.items()}
         if self.state is State.READY:
             self._good = {n: self.values[n] for n in self._table.written if n in self.values}
             self._good_of = self.aircraft
@@ -205,9 +205,11 @@ class ParameterGains:
         if not self._queue:
             return None
         self._tries += 1
-        retries = self.state is State.REVERTING and self._tries > TRIES
+        retries = self._tries > max(TRIES, len(self._queue))
         self._due_s = now_s + (RETRY_S if retries else REPEAT_S)
         name, value = next(iter(self._queue.items()))
+        if self.state is State.REVERTING:  # it may hear without being heard: each in its turn
+            self._queue = {n: v for n, v in self._queue.items() if n != name} | {name: value}
         kind = self._kinds.get(name, f.REAL32)
         return f.ParamSet(name, encoded(value, kind, bytewise=self._bytewise), kind=kind)
 
@@ -254,12 +256,9 @@ class ParameterGains:
     def _read(self) -> None:
         if any(self._open(name) for name in self._watched()) or not self.values:
             return
-        units = self.units(self.values)
-        if units is None:
+        if self.units(self.values) is None:
             return  # the craft is described by other parameters, which come as well
-        self.active = self._table.gains(self.values, units)
-        self._go(State.READY)
-        self.events.append(GainEvent(What.READ, self.active))
+        self._prove(State.READY, What.READ)
         if self._good and self._good_of in {'', self.aircraft}:
             self._return_to_good()
 
@@ -301,7 +300,7 @@ class ParameterGains:
         if not self.sure:
             return  # another aircraft's, perhaps
         if value != self._queue[name]:
-            if next(iter(self._queue)) == name and self._tries:
+            if self.state is State.WRITING and next(iter(self._queue)) == name and self._tries:
                 self._reported, self._due_s = value, -math.inf  # try again at once
             return
         self._queue = {n: v for n, v in self._queue.items() if n != name}
@@ -345,21 +344,17 @@ class ParameterGains:
 
         `is_first`: it had not answered before, so nobody need have written it.
         """
-        if is_first:
-            if self.state is State.READY:
-                self._prove(State.READY, What.READ)
-        elif name not in self._table.names:
-            return
-        elif self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
-            self._foreign += 1
-            self._take_back(What.REVERTED,
-                            f'{name} was set to {value:g} by another program during the trial')
-        elif self._foreign:  # a second one, after or while the good set is written back
-            self.refused = (f'{name} was set to {value:g} by another program again: it is left '
-                            'alone, and gains are refused until the bridge is restarted')
-            if self.state is State.READY:
-                self._prove(State.READY, What.READ)
-        elif self.state is State.READY:
+        if not is_first:
+            if name not in self._table.names:
+                return
+            if self.state in {State.ON_TRIAL, State.WRITING, State.SAVING, State.CONFIRMING}:
+                self._foreign += 1
+                self._take_back(What.REVERTED, f'{name} was set to {value:g} by another program '
+                                'during the trial')
+            elif self._foreign:  # a second one, after or while the good set is written back
+                self.refused = (f'{name} was set to {value:g} by another program again: it is '
+                                'left alone, and gains are refused until the bridge is restarted')
+        if self.state is State.READY:
             self._prove(State.READY, What.READ)
 
     # The way back.

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from quad_bridge.autopilots.flight import HEIGHT_S, FlightState
+from quad_bridge.autopilots.flight import BATTERY_S, HEIGHT_S, FlightState
 from quad_bridge.wire import frames as f
 from quad_bridge.wire.frames import Vector3
 
@@ -70,6 +70,8 @@ class Guard:
             distance_m = math.dist(flight.place[:2], self.place[:2])
             if distance_m > MOST_PLACE_M:
                 return f'{distance_m:.1f} m from where it began'
+        if math.isfinite(self.volts) and now_s - flight.volts_s > BATTERY_S:
+            return 'the battery is not reported any more'
         if flight.volts < (1.0 - MOST_SAG) * self.volts:
             return f'the battery has sunk to {flight.volts:.1f} V'
         return ''

@@ -172,11 +172,17 @@ class SystemId:
             elif now_s - self._since_s > self._end_s:
                 self.end('its time is over', now_s)  # it stays in the mode, and injects no more
         elif self.phase is Phase.LEAVING:
-            if self._flight.mode != MODE and self._flight.beat_s > self._sure_s:
-                self._restore(now_s)
-            elif self._guard is not None:
-                out += self._switch.poll(MODE, self._guard.mode, now_s)
+            self._leave(now_s, out)
         return out
+
+    def _leave(self, now_s: float, out: list[f.Frame]) -> None:
+        if self._flight.mode != MODE and self._flight.beat_s > self._sure_s:
+            self._restore(now_s)
+        elif self._guard is not None:
+            out += self._switch.poll(MODE, self._guard.mode, now_s)
+            if self._flight.line_fault(now_s) and now_s >= self._due_s:
+                self._due_s = now_s + REPEAT_S  # it may hear without being heard
+                out.append(f.ParamSet('SID_AXIS', 0.0, kind=self._kinds['SID_AXIS']))
 
     def _write(self, now_s: float, out: list[f.Frame]) -> None:
         if not self._queue:

@@ -416,10 +416,9 @@ class GainUpdates:
         self.protocol.confirm()
 
     def _take_events(self) -> None:
-        if self.protocol.events:
-            events, self.protocol.events = self.protocol.events, []
-            for event in events:
-                self._event(event)
+        events, self.protocol.events = self.protocol.events, []
+        for event in events:
+            self._event(event)
 
     def _event(self, event: GainEvent) -> None:
         if event.what is What.READ:
@@ -433,9 +432,8 @@ class GainUpdates:
                 self.watch.restart()
             self._in_force = dict(self.active)
             self._history.note_active(self.active)
-            going_back, self._going_back = self._going_back, []
-            for reply in going_back:
-                reply(True, 'the gains of before are in force')
+            while self._going_back and not self.protocol.busy:  # else they are on their way back
+                self._going_back.pop(0)(True, 'the gains of before are in force')
             text = f'{len(self.active)} gains and constants read back'
             self.notes.append(Note(text, active=self.active))
         elif event.what is What.COMMITTED:
@@ -457,11 +455,11 @@ class GainUpdates:
     def _confirmed(self, event: GainEvent) -> None:
         self._ended('confirmed', event.reason, flown=True)
         self._good = [*self._good, dict(self.active)]
+        self.refused = ''  # another may have been refused meanwhile
         self._flown = False  # as the next one's "before", which this flight may still give
         self.notes.append(Note(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
-        for reply in self._going_back:
-            reply(False, 'the STM32 had confirmed the gains')
-        self._going_back.clear()
+        while self._going_back:
+            self._going_back.pop(0)(False, 'the STM32 had confirmed the gains')
         if event.reason:
             self._fault(f'{event.reason}, but the STM32 had confirmed the gains')
 
@@ -506,9 +504,8 @@ class GainUpdates:
         """Begin to take back what is on trial, which nobody will watch; answer whoever waits."""
         if self.state in ON_TRIAL:
             self._take_back(why)
-        waiting, self._going_back = self._going_back, []
-        for reply in waiting:
-            reply(False, why)
+        while self._going_back:
+            self._going_back.pop(0)(False, why)
         if self._update is not None:
             self._update.tell(why)
 

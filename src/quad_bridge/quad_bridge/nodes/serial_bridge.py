@@ -445,9 +445,12 @@ class SerialBridge(ManagedNode):
 
     def _on_craft(self, craft: Craft) -> None:
         """Take the craft that the parameter gives, or another node describes."""
-        if craft.count == FLOWN:
-            with self._lock:
+        with self._lock:
+            if craft.count == FLOWN:
                 self._gains.polarity.craft = craft
+            peer, parameters = self._link.peer, self._link.parameters
+            if self._motors is not None and peer is not None and parameters is not None:
+                self._on_described(Described(peer, parameters.values))
 
     def _on_segment(self, event: ParameterEvent) -> None:
         values, age_s = conversion.values_of(event.changed_parameters), self._age_s(event.stamp)
