@@ -474,6 +474,7 @@ def test_the_next_flight_is_held_to_the_last_good_one(tmp_path):
 
 BAD_UPDATES = [
     ({'roll.rate.kp': 'fast'}, r'roll\.rate\.kp: must be a number'),
+    ({'roll.rate.kp': None}, 'must be a number'),
     ({'source': 'a stranger'}, 'source is not allowed'),
     ({'aircraft': 'A'}, 'aircraft A: connected is'),
     ({'predicted': '{"roll.peak": NaN}'}, 'roll.peak must be finite'),

@@ -132,10 +132,12 @@ class ParameterGains:
             targets = self._table.parameters(writes, self.values, units)
         except UnfitError as error:
             raise RefusedError(str(error)) from error
-        for name in targets:
+        for name, value in targets.items():
             if name not in self.values:
                 raise RefusedError(f'{name}: not reported by the autopilot, so no value to '
                                    'return to')
+            if not math.isfinite(value):
+                raise RefusedError(f'{name}: must be finite: found {value}')
         targets = {name: float32(value) if abs(value - self.values[name]) > UNNOTICED
                    else self.values[name] for name, value in targets.items()}
         if self.state is State.READY:

@@ -184,6 +184,7 @@ class Takeover:
         fault = self._abort_fault(start, now_s)
         if fault:
             self.end(fault, now_s, abort=True)
+            self._leave(start, now_s, out)
         elif self.phase is Phase.STREAMING:
             if mode == self._means.mode:  # by the pilot's switch
                 self._go(Phase.FLYING, now_s)
@@ -199,6 +200,8 @@ class Takeover:
 
     def _leave(self, start: Guard, now_s: float, out: list[f.Frame]) -> None:
         """Ask for the mode from before, until it is no longer ours or somebody's."""
+        if self.phase is not Phase.LEAVING:
+            return
         if self._flight.mode != self._means.mode and self._flight.beat_s > self._since_s + BEAT_S:
             self._go(Phase.IDLE, now_s)
         else:
