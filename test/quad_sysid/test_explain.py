@@ -57,6 +57,9 @@ def test_gains_are_designed_with_what_holds_at_other_times_too(rubbed_answer):
                      candidates(told.problem, EFFECTS)[0])
     assert ladder.projection.reference.structure.labels == ('shape:time/smooth friction',)
     assert [part.effect.name for part in ladder.predicting.structure.parts] == ['coulomb_friction']
+    projection = ladder.projection  # too short for a free run
+    short = Models(told.search, projection.on(np.zeros(projection.windows.count, bool)))
+    assert replace(ladder, models=short).predicting is projection.reference
 
 
 def test_a_law_that_the_reference_lacks_comes_again_whatever_suffices(

@@ -261,11 +261,12 @@ class Ladder:
 
         One step ahead the reference does; what it fits of one time may not come again at another.
         """
-        if not self.projection.reference.structure.parts:  # there is no other one
-            return self.projection.reference
+        projection = self.projection
+        if not projection.reference.structure.parts or not projection.windows.count:
+            return projection.reference
         rungs = [self.models.fitted(rung.model) for rung in self.rungs[self.answer :]]
-        return min((*rungs, self.projection.reference),
-                   key=lambda fit: float(np.sum(self.projection.later_error(fit))))
+        return min((*rungs, projection.reference),
+                   key=lambda fit: float(np.sum(projection.later_error(fit))))
 
 
 def explain(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> Ladder:
