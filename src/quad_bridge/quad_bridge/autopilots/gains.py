@@ -23,7 +23,6 @@ Request = f.ParamSet | f.ParamRequestRead
 TRIES = 4
 REPEAT_S, LOOK_S = 0.25, 0.25  # between two tries; between two looks at what is on trial
 AT_ONCE = 8  # names that are asked for at the same time
-UNNOTICED = 1.2e-7  # a smaller change PX4 does not notice, up to 1.13 it does not store it either
 STALE_S = 1.0
 """So long after a write an answer may still bear the value of before: ArduPilot answers questions
 in a queue of its own, later than writes."""
@@ -138,8 +137,7 @@ class ParameterGains:
                                    'return to')
             if not math.isfinite(value):
                 raise RefusedError(f'{name}: must be finite: found {value}')
-        targets = {name: float32(value) if abs(value - self.values[name]) > UNNOTICED
-                   else self.values[name] for name, value in targets.items()}
+        targets = {name: float32(value) for name, value in targets.items()}
         if self.state is State.READY:
             self._good = {n: self.values[n] for n in self._table.written if n in self.values}
             self._good_of = self.aircraft
