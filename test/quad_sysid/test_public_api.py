@@ -6,11 +6,18 @@ from node_process import python
 
 import quad_sysid
 
+NAMES = (
+    'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'greybox',
+    'search_arx', 'delay_estimate', 'Model', 'simulate', 'predict', 'fit_percent', 'compare',
+    'residual_test', 'frequency_response', 'spa', 'coherence', 'excitation_order', 'identify',
+    'evaluate', 'Result', 'Effect', 'prbs', 'design_excitation',
+)
+
 
 def test_every_promised_name_is_there():
-    # the other names are called by other tests
-    assert all(callable(getattr(quad_sysid, name)) for name in ('prbs', 'design_excitation'))
+    assert all(callable(getattr(quad_sysid, name)) for name in NAMES)
     assert {effect.name for effect in quad_sysid.EFFECTS} >= {'coulomb_friction', 'resonance'}
+    assert set(NAMES) <= set(quad_sysid.__all__)
     offered = {name for name in dir(quad_sysid) if not name.startswith('__')}
     assert offered == set(quad_sysid.__all__)
     assert all(getattr(quad_sysid, name) is not None for name in quad_sysid.__all__)
