@@ -172,15 +172,17 @@ def test_a_rung_explains_slow_motion_as_well_as_fast(rubbed_answer):
     missed[slow] = 0.3 * lowest.missed[slow]
     assert 1.0 - np.sum(missed) / lowest.total > 0.75
     rows, equal = np.array([lowest.missed, missed, first.missed]), np.ones(missed.size)
-    assert ladder.explained(rows, rows[0], equal) == pytest.approx([0.0, 70.0, first.explains_pct])
+    ladder = replace(ladder, drift=rows[0])
+    assert ladder.explained(rows) == pytest.approx([0.0, 70.0, first.explains_pct])
     assert replace(ladder, rungs=(lowest, replace(first, missed=missed), first)).answer == 2
     light = np.where(np.isin(np.arange(missed.size), slow), 1.0, 1e-9)
-    assert ladder.sufficient(rows, rows[0], equal) == ladder.sufficient(rows, rows[0], light) == 2
-    assert ladder.sufficient(rows[:2], rows[0], equal) is None
+    dim = replace(ladder, drift=light * rows[0])
+    assert ladder.sufficient(rows) == dim.sufficient(light * rows) == 2
+    assert ladder.sufficient(rows[:2]) is None
     times = max(total[1] / most for total, most in ladder._by_thirds(rows, equal))
     small = 0.9 / times * rows  # the middle one misses next to nothing
     assert list(ladder.slight(small, equal)) == [False, True, True]
-    assert ladder.sufficient(small, small[0], equal) == 2
+    assert replace(ladder, drift=small[0]).sufficient(small) == 2
 
 
 def test_an_effect_is_as_probable_beside_one_that_the_ladder_put_in(rubbed_answer):

@@ -198,9 +198,9 @@ class Ladder:
         return 100.0 * (1.0 - math.sqrt(min(missed, 1.0)))
 
     def slight(self, missed: FloatArray, weights: FloatArray) -> NDArray[np.bool_]:
-        """(rungs,) whether each misses next to nothing, in slow motion as in fast.
+        """(rungs,) whether what misses `missed` (rungs, windows) misses next to nothing.
 
-        Arguments as of `explained`.
+        In slow motion as in fast. weights: (windows,) of a resampled flight.
         """
         little_missed = [total < small for total, small in self._by_thirds(missed, weights)]
         return np.asarray(np.all(little_missed, axis=0))
@@ -218,24 +218,23 @@ class Ladder:
             yield (missed[:, third] @ weights[third],
                    little(*self._parts[:, third] @ weights[third]))
 
-    def explained(self, missed: FloatArray, drift: FloatArray, weights: FloatArray) -> FloatArray:
+    def explained(self, missed: FloatArray) -> FloatArray:
         """(rungs,) percent explained by what misses `missed` (rungs, windows), the base first.
 
         The least of `thirds`: slow and fast motion count alike, for a drag may do for a friction
         where the aircraft turns fast. A third where the base misses next to nothing, also with
-        parameters of other times, does not count. drift: (windows,) the base's, as `Ladder.drift`.
-        weights: (windows,) of a resampled flight.
+        parameters of other times, does not count.
         """
+        both, equal = np.vstack([self.drift, missed]), np.ones_like(self.drift)
         shares = [1.0 - total[1:] / max(total[1], 1e-30)
-                  for total, small in self._by_thirds(np.vstack([drift, missed]), weights)
-                  if total[0] > small]
+                  for total, small in self._by_thirds(both, equal) if total[0] > small]
         return np.asarray(100.0 * np.min([np.ones(missed.shape[0]), *shares], axis=0))
 
-    def sufficient(self, missed: FloatArray, drift: FloatArray, weights: FloatArray) -> int | None:
+    def sufficient(self, missed: FloatArray) -> int | None:
         """The lowest rung that explains EXPLAINS, or the base that misses next to nothing."""
-        if self.slight(drift[None], weights)[0]:
+        if self.slight(self.drift[None], np.ones_like(self.drift))[0]:
             return 0
-        enough = np.flatnonzero(self.explained(missed, drift, weights) >= EXPLAINS)
+        enough = np.flatnonzero(self.explained(missed) >= EXPLAINS)
         return int(enough[0]) if enough.size else None
 
     @cached_property
@@ -251,8 +250,8 @@ class Ladder:
         """The sufficient rung, or the last."""
         if not self.last:
             return 0
-        missed = np.array([rung.missed for rung in self.rungs[: self.last + 1]])
-        enough = self.sufficient(missed, self.drift, np.ones(missed.shape[1]))
+        enough = self.sufficient(
+            np.array([rung.missed for rung in self.rungs[: self.last + 1]]))
         return self.last if enough is None else enough
 
     @cached_property
@@ -265,7 +264,7 @@ class Ladder:
         if not projection.reference.structure.parts or not projection.windows.count:
             return projection.reference
         rungs = [self.models.fitted(rung.model) for rung in self.rungs[self.answer :]]
-        return min((*rungs, projection.reference),
+        return min(dict.fromkeys((*rungs, projection.reference)),  # often the last rung
                    key=lambda fit: float(np.sum(projection.later_error(fit))))
 
 
@@ -313,7 +312,7 @@ def _ladder(problem: Problem, search: SearchResult, parts: Sequence[Part]) -> La
         if missed is not None and last.total - np.sum(missed) >= NEGLIGIBLE * rungs[0].total:
             climb.left_out.clear()
             both = np.array([rungs[0].missed, missed])
-            percents = ladder.explained(both, ladder.drift, equal)[-1]
+            percents = ladder.explained(both)[-1]
             rungs.append(Rung(step, missed, max(last.explains_pct, float(percents))))
         else:
             climb.left_out.add(_added(step).label)

@@ -368,9 +368,9 @@ def _frames(parser: Any, places: Sequence[int], width: int,
         place = parser.reader.tell()
         try:
             for frame in parser.frames():
-                if parser._ctx.invalid_frame_count > invalid:  # noqa: SLF001 - bytes that it skipped
+                before, invalid = invalid, parser._ctx.invalid_frame_count  # noqa: SLF001
+                if invalid > before:  # it skipped bytes
                     faults, waiting = faults + 1, True
-                invalid = parser._ctx.invalid_frame_count  # noqa: SLF001
                 waiting &= frame.type.value != INTRA
                 data = frame.data
                 if len(data) >= width - 1 and not waiting:
