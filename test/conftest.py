@@ -26,9 +26,10 @@ from probe import Probe
 
 from quad_tuning.demo.processes import own_domain
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # as in a script's background: ignored here too, but by the default in what tests start
-    signal.signal(signal.SIGINT, lambda *_: None)
+for _number in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        # as in a script's background or under nohup: here too, but not in what tests start
+        signal.signal(_number, lambda *_: None)
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups

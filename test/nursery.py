@@ -96,7 +96,8 @@ class Nursery:
 
 def serve(line: socket.socket) -> dict[str, Any]:
     """Fork as asked for. Returns in the new process, with what it is to be; ends with the line."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's is for who started it
+    for number in (signal.SIGINT, signal.SIGHUP):  # a terminal's are for who started it
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
         data, given, *_ = socket.recv_fds(line, MOST, 4)
@@ -111,6 +112,7 @@ def serve(line: socket.socket) -> dict[str, Any]:
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             if not (pid := os.fork()):
                 signal.signal(signal.SIGINT, signal.default_int_handler)
+                signal.signal(signal.SIGHUP, signal.SIG_DFL)
                 for number, stream in enumerate(streams):
                     os.dup2(stream, number)
                 for number in (*given, line.detach()):
