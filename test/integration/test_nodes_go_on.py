@@ -1,15 +1,19 @@
 """A node that meets bad bags says so in /diagnostics and goes on."""
 
 import json
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from flown_axis import SHORT, Axis, fly
 from node_process import QUICKLY, Started
 from probe import Probe, entries, event
+from std_srvs.srv import Trigger
 
 from quad_sysid.bags import write_bag
+from quad_sysid.identification_node import IdentificationNode
 
 OK, WARN, ERROR = 0, 1, 2
 EACH_ONCE = f"""{QUICKLY}
@@ -83,3 +87,11 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     values = until(OK, 'not sent: it was asked for by ~/identify')
     assert f'quad-tune send {values["report"]} sends them: roll.' in node.said
     assert node.end() == 0
+
+
+def test_the_bag_that_is_asked_for_comes_before_those_that_wait() -> None:
+    queue = deque(['waits'])
+    node = MagicMock(_worker=None, _queue=queue, _folder=Path('/bags'))
+    node.get_parameter.return_value.value = 'asked'
+    assert IdentificationNode._on_identify(node, None, Trigger.Response()).success
+    assert [*queue] == ['/bags/asked', 'waits']

@@ -66,7 +66,7 @@ MOUNTED = """<joint name="arm_{k}" type="fixed"><parent link="base_link"/><child
 def test_a_urdf_may_mount_its_motors_on_arms_and_upside_down():
     joints = ''.join(MOUNTED.format(k=k, yaw=np.pi / 2 * k, rpy='0 0 0' if k % 2 else
                                     '3.14159265 0 0') for k in range(1, 5))
-    craft = from_urdf(ARM.format(joints))
+    craft = from_urdf(ARM.format(joints.replace('motor_3', 'motor_03')))
     assert craft.places == ('left', 'rear', 'right', 'front')
     assert [m.spin for m in craft.motors] == [1, -1, 1, -1]
     assert craft.motors[0].z == pytest.approx(0.1)

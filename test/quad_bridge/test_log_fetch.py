@@ -1,12 +1,18 @@
 """An autopilot's log over a line that loses: whole, in order, resumed, and never fetched twice."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
+from quad_bridge.autopilots.flight import FlightState
+from quad_bridge.autopilots.kinds import KINDS
 from quad_bridge.autopilots.log_fetch import CHUNK, TRIES, LogFetch, Phase
 from quad_bridge.autopilots.log_store import LogStore
+from quad_bridge.nodes.autopilot_logs import AutopilotLogs
 from quad_bridge.wire import frames as f
 
 LOG = np.random.default_rng(3).bytes(150_007)
@@ -87,6 +93,30 @@ def test_a_full_disk_leaves_no_log_that_looks_whole(tmp_path, monkeypatch):
     monkeypatch.undo()
     store, _ = fetched(Card(), tmp_path)
     assert Path(store.whole).read_bytes() == LOG
+
+
+def test_each_flight_announces_its_own_log_and_a_stay_on_the_ground_none(tmp_path):
+    flight, node = FlightState(), MagicMock()
+    node.get_clock().now().nanoseconds, node.get_fully_qualified_name.return_value = 0, '/bridge'
+    craft = SimpleNamespace(flight=flight, kind=replace(KINDS[1], log_closes_s=0.0))
+    logs = AutopilotLogs(node, lambda: craft, lambda: tmp_path, lambda: None, lambda job: job(),
+                         by_itself=True)
+    logs.configure()
+    for landed, more in ((2, 1), (2, 2), (1, 0)):
+        for flight.armed, flight.landed in ((True, landed), (False, 1)):
+            logs.tick()
+        while logs._fetch.busy:
+            for asked in logs.poll():
+                for answer in Card(says=len(LOG) + more).answers(asked):
+                    logs.take(answer, 0)
+        logs.poll()
+        logs.tick()
+    said = [[p.value.string_value for p in call.args[0].changed_parameters]
+            for call in node.publisher().publish.mock_calls]
+    first, second = (str(tmp_path / f'logs/log_7_{len(LOG) + k}.bin') for k in (1, 2))
+    begun = ['expected', ''], ['fetching', '']
+    assert said == [*begun, ['complete', first], *begun, ['complete', second],
+                    begun[0], ['failed', '']]
 
 
 def test_of_a_list_in_no_order_the_latest_is_fetched_once_all_are_known():

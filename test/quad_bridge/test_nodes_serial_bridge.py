@@ -195,7 +195,10 @@ def test_a_manager_leads_the_bridge_through_its_states(probe, far, bridge):
         goes(transition)
     probe.until(flies_new_gains)
     assert 'has not confirmed' not in node.said
-    far.close()
+    far.close()  # it was armed, with its throttle up, when it was last heard
+    arm = '/serial_bridge/arm', 'std_srvs/srv/SetBool'
+    probe.until(lambda: 'nothing is received' in probe.call(*arm, data=True).message)
+    assert 'call again within 2 s' in probe.call(*arm, data=False).message
     for transition in (DEACTIVATE, CLEANUP, SHUTDOWN):
         goes(transition)
     assert 'has not confirmed its old gains and mode' in node.said

@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock, call
 
 import pytest
 from node_process import Started
@@ -15,6 +16,7 @@ from probe import Probe, content, entries, event, stamp
 
 from quad_bridge.lockstep import START_NS, VARIABLE
 from quad_bridge.virtual.line import Line
+from quad_sysid.excitation_node import ExcitationNode
 
 SCHEDULE = """
 schedule:
@@ -226,6 +228,13 @@ def test_a_standstill_of_the_node_itself_is_no_stale_link(aircraft, fly):
     aircraft.probe.until(lambda: aircraft.state.get('state') in {'done', 'aborted'})
     assert 'stood still for 0.60 s' in process.said
     assert aircraft.state['reason'] == 'the schedule is complete'
+
+
+def test_a_slow_schedule_looks_at_the_angles_with_each_set_point():
+    node = MagicMock(_ticks=0, **{'_settings.rate_hz': 20, '_stall.stood_still_s': 0.0})
+    for _ in range(4):
+        ExcitationNode._tick(node)
+    assert node._readings.mock_calls == 4 * [call(decode_angles=True)]
 
 
 BROKEN = """

@@ -5,6 +5,7 @@ What allows no design is refused in one line that says why.
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from quad_sysid.loop.linear import WIDE
 from quad_sysid.loop.linear import loops_of as linear
 from quad_sysid.loop.plant import plant_like
 from quad_sysid.loop.simulation import simulate_cascade
-from quad_sysid.model import Parameter
+from quad_sysid.model import LAW, Parameter
 from quad_sysid.model.effect import Part
 from quad_sysid.model.structure import Structure
 from quad_tuning import bounds, pid
@@ -234,6 +235,7 @@ def with_stds(*variances):
         (lambda m: with_gains(m, roll__rate__kp=0.4), 'gains that flew are unstable'),
         (lambda m: dataclasses.replace(m, trusted_band_rad_s=(0.1, 5.0)), 'excite that band'),
         (lambda m: with_base(m, 'delay', 0.08), 'gains that flew are unstable'),
+        (lambda m: dataclasses.replace(m, own_effects=(SimpleNamespace(kind=LAW),)), 'built-in'),
     ],
 )
 @pytest.mark.usefixtures('quick')
@@ -281,7 +283,8 @@ def test_gains_for_an_autopilot_are_gains_that_its_parameters_can_be():
             for name in ('angle.kp', 'rate.kp', 'rate.ki')}
     assert most == {'roll.angle.kp': 12.0, 'roll.rate.kp': 0.2, 'roll.rate.ki': 0.4}
     assert ARDUPILOT.parameters(most, {}, units)['ATC_ANG_RLL_P'] == 12.0
-    assert bounds.bounds_of('roll', {}) is bounds.BOUNDS
+    around = bounds.bounds_of('surge', {AUTOPILOT: 3.0})  # a loop of the user's own
+    assert bounds.bounds_of('roll', {}) is around is bounds.BOUNDS
 
 
 @pytest.mark.usefixtures('quick')

@@ -8,6 +8,7 @@ Body frame FLU: x forward, y left, z up. Files and topics are opened by others.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -202,16 +203,17 @@ def from_urdf(text: str) -> Craft | None:
         robot = ET.fromstring(text)  # noqa: S314 - expat limits what entities expand to
     except ET.ParseError as error:
         raise ValueError(f'is no XML: {error}') from error
-    joints = {joint.get('name', ''): joint for joint in robot.iter('joint')}
-    numbers = sorted(int(name.removeprefix(JOINT)) for name in joints
-                     if name.startswith(JOINT) and name.removeprefix(JOINT).isdecimal())
+    joints = [*robot.iter('joint')]
+    numbered = {int(found[1]): joint for joint in joints
+                if (found := re.fullmatch(f'{JOINT}([0-9]+)', joint.get('name', '')))}
+    numbers = sorted(numbered)
     if not numbers:
         return None
     if numbers != list(range(1, len(numbers) + 1)):
         raise ValueError(f'has the joints {", ".join(f"{JOINT}{k}" for k in numbers)}: number '
                          f'them from {JOINT}1 without a gap')
-    above = {_link(joint, 'child'): joint for joint in joints.values()}
-    motors = tuple(_motor(f'{JOINT}{k}', joints[f'{JOINT}{k}'], above) for k in numbers)
+    above = {_link(joint, 'child'): joint for joint in joints}
+    motors = tuple(_motor(f'{JOINT}{k}', numbered[k], above) for k in numbers)
     if len({(m.x, m.y, m.z, m.spin) for m in motors}) == 1 < len(motors):
         raise ValueError('has all motors in one place: give each joint its origin')
     mass, inertia = _body(robot)

@@ -214,7 +214,8 @@ class ExcitationNode(TimedNode, Node):  # type: ignore[misc]
         stamp = self.get_clock().now().nanoseconds
         self._ticks += 1
         self._stall.tick(clock().now_s())  # first: what waits to be received is not old
-        readings = self._readings(decode_angles=self._ticks % 5 == 0)  # at 50 Hz of 250
+        every = max(1, self._settings.rate_hz // 50)  # 50 times a second or more
+        readings = self._readings(decode_angles=self._ticks % every == 0)
         if self._stall.stood_still_s:
             self.get_logger().warning(
                 f'this node stood still for {self._stall.stood_still_s:.2f} s: the host is busy'

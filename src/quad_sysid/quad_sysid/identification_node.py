@@ -168,7 +168,7 @@ class IdentificationNode(Node):  # type: ignore[misc]
             where = name or 'no bag'
             return answered(response, False, f'{where} below {self._folder}: see parameter bag')
         self._known_bags[str(bag)] = 'it was asked for by ~/identify'
-        self._queue.append(str(bag))
+        self._queue.appendleft(str(bag))
         self._start_next(at_once=True)
         return answered(response, True, f'identifying {bag}')
 

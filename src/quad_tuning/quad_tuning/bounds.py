@@ -56,7 +56,7 @@ CONSTANT = Bound(0.0, math.inf)
 def bounds_of(axis: str, active: Mapping[str, float]) -> dict[str, Bound]:
     """The hard bounds of an axis' gains, and within them what an autopilot's parameters may be."""
     table = TABLES.get(int(active.get(AUTOPILOT, 0.0)))
-    if table is None:
+    if table is None or axis not in AXES:  # of a loop around it, which is the user's own
         return BOUNDS
     unit, number = active.get(f'{axis}.rate.output_limit', 1.0), AXES.index(axis)
     limits = dict(BOUNDS)
@@ -154,7 +154,8 @@ BAND_REACH = 2.0
 
 def check_model(model: AxisModel) -> None:
     """Refuse a model that its data forbid, with the wrong sign, not finite or too uncertain."""
-    _refuse(model, filter(None, [model.no_gains_because]))
+    own = 'gains are designed for the built-in base only' if model.law else ''
+    _refuse(model, filter(None, [model.no_gains_because, own]))
     check_polarity(model)
     _refuse(model, _uncertain(model))
 

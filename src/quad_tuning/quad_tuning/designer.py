@@ -15,9 +15,10 @@ from quad_sysid.axes import EVERY
 from quad_sysid.errors import QuadSysidError
 from quad_sysid.loop.cascade import CascadeGains, contract_names
 from quad_sysid.loop.from_model import behind_lean, in_flight, loop_plant, not_in_the_loop
+from quad_sysid.loop.plant import Flying
 from quad_sysid.model import BEFORE, AxisModel, GainProposal
 from quad_tuning import ensemble as ensembles
-from quad_tuning.assess import Requirements, assess, promise
+from quad_tuning.assess import LoopFigures, Requirements, assess, promise
 from quad_tuning.bounds import (
     BAND_REACH,
     DESIGNED,
@@ -31,6 +32,7 @@ from quad_tuning.bounds import (
     shared_by_axes,
     within_thrust,
 )
+from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError, QuadTuningError
 from quad_tuning.pid import PidDesign, retune
 from quad_tuning.way import sag_settings, way_to, with_schedule
@@ -62,15 +64,7 @@ def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
     active = within_thrust(flown_gains(model), model)
     flown, chosen = model, sag_settings(model)
     model = replace(model, active_gains={**model.active_gains, **chosen})
-    plant = loop_plant(model)
-    loops = ensembles.build(model, np.random.default_rng(SEED))
-    if loops.unstable(active)[loops.nominal].any():
-        raise DesignRefusedError(
-            f'{model.axis}: the model says that the gains that flew are unstable, so it does not '
-            'describe the flight; identify again'
-        )
-    before = assess(plant, active, loops)
-    check_band(model, before.crossover_rad_s)
+    plant, loops, before = flown_loop(model, active)
     needs = Requirements()
     if model.noise_rms:
         spare = needs.motor_noise / (before.noise_gain * model.noise_rms)
@@ -100,6 +94,20 @@ def propose(model: AxisModel, inner: AxisModel | None = None) -> GainProposal:
         steps=with_schedule([by_contract(step, model.axis, known) for step in way.steps], chosen,
                     flown.active_gains),
     )
+
+
+def flown_loop(model: AxisModel,
+               active: CascadeGains) -> tuple[Flying, Ensemble, LoopFigures]:
+    """Plant, ensemble, the flown gains' figures; refuses a model that the flight contradicts."""
+    plant, loops = loop_plant(model), ensembles.build(model, np.random.default_rng(SEED))
+    if loops.unstable(active)[loops.nominal].any():
+        raise DesignRefusedError(
+            f'{model.axis}: the model says that the gains that flew are unstable, so it does not '
+            'describe the flight; identify again'
+        )
+    before = assess(plant, active, loops)
+    check_band(model, before.crossover_rad_s)
+    return plant, loops, before
 
 
 def _around_lean(model: AxisModel, inner: AxisModel | None) -> AxisModel:

@@ -19,21 +19,12 @@ from scipy.optimize import least_squares
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.loop.cascade import CascadeGains
-from quad_sysid.loop.from_model import loop_plant
 from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import BEFORE, AxisModel
-from quad_tuning import ensemble as ensembles
 from quad_tuning.assess import Requirements, assess, meets, promise
-from quad_tuning.bounds import (
-    BOUNDS,
-    by_contract,
-    check_band,
-    check_inside,
-    check_model,
-    flown_gains,
-)
-from quad_tuning.designer import LARGEST_LOSS_PCT, SEED
+from quad_tuning.bounds import BOUNDS, by_contract, check_inside, check_model, flown_gains
+from quad_tuning.designer import LARGEST_LOSS_PCT, flown_loop
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
 from quad_tuning.state_feedback import PARAMETERS, StateFeedback, beside
@@ -92,10 +83,7 @@ def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal
     check_model(model)
     check_inside(model)
     active = flown_gains(model)
-    plant = loop_plant(model)
-    loops = ensembles.build(model, np.random.default_rng(SEED))
-    before = assess(plant, active, loops)
-    check_band(model, before.crossover_rad_s)
+    plant, loops, before = flown_loop(model, active)
     try:
         noise = Noise(rate=model.noise_rms) if model.noise_rms else Noise()
         controller, factor = design_lqr(plant, loops, active.output_limit, weights, noise)

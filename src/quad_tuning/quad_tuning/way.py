@@ -19,7 +19,6 @@ from quad_tuning.assess import Requirements, meets
 from quad_tuning.bounds import BOUNDS, DESIGNED, reachable, steps_to
 from quad_tuning.ensemble import Ensemble
 from quad_tuning.errors import DesignRefusedError
-from quad_tuning.gain_table import LARGEST_FACTOR
 
 SLACK = 0.85
 """A step must keep this share of the flown gains' margins, or FOR_SECONDS, whichever is less."""
@@ -118,16 +117,15 @@ def sag_settings(model: AxisModel) -> dict[str, float]:
 
 
 def with_schedule(steps: Sequence[Mapping[str, float]], chosen: Mapping[str, float],
-          active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+                  active: Mapping[str, float]) -> tuple[dict[str, float], ...]:
     """The steps with the schedule, its exponent in each as far as the gate allows."""
     path = [{**step, **chosen} for step in steps]
     name = next((key for key in chosen if key.endswith('sag.exponent')), None)
     if name is None or not path:
         return tuple(path)
-    now, target, small = active[name], chosen[name], BOUNDS[name].small_step
-    k = 0
+    now, target, k = active[name], chosen[name], 0
     while now != target:
-        low, high = min(now / LARGEST_FACTOR, now - small), max(now * LARGEST_FACTOR, now + small)
+        low, high = BOUNDS[name].one_step(now)
         now = min(max(target, low), high)
         if k == len(path):
             path.append(dict(path[-1]))

@@ -33,8 +33,7 @@ class Cycles:
         self.flags = 0
         self.arrived_s = self.excited_s = -math.inf
         """When the last cycle arrived, and the last one with an excitation."""
-        self.flying_since_s: float | None = None
-        """Since when it is armed with the throttle up; None where it is not."""
+        self.flying = False  # armed with the throttle up
         self._period_s = 0.0  # average time between the cycles that arrive
         self._time_us = 0  # device time of the last cycle
 
@@ -44,17 +43,10 @@ class Cycles:
         passed_s = min(max(1e-6 * (frame.time_us - self._time_us), 0.0), LINK_S)
         self._time_us = frame.time_us
         self._period_s += RATE_SHARE * (passed_s - self._period_s)
-        flies = bool(frame.flags & ARMED) and frame.control[0] >= LOW_THROTTLE
-        if flies is not self.flying:
-            self.flying_since_s = now_s if flies else None
+        self.flying = bool(frame.flags & ARMED) and frame.control[0] >= LOW_THROTTLE
         if frame.flags & EXCITATION and not pulses:
             self.excited_s = now_s
         return since_s
-
-    @property
-    def flying(self) -> bool:
-        """Whether it is armed with the throttle up."""
-        return self.flying_since_s is not None
 
     @property
     def slow(self) -> str:

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 
 AXES = ('roll', 'pitch', 'yaw')
 LARGEST_FACTOR = 2.0  # of one gain in one step; a configuration may ask for less, not for more
-ROUNDING = 1e-4
-"""Share by which a step stays inside the factor, since float32 on the wire rounds."""
 IDLE = 'mixer.idle'
 US_PER_DEG_S = math.degrees(1.0) / 1000.0
 """The paper's unit, µs of motor pulse per deg/s (of 1000 µs), as command per rad/s."""
@@ -33,8 +31,8 @@ class Bound:
 
     def one_step(self, now: float) -> tuple[float, float]:
         """Lowest and highest value that one step may set, hard limits aside."""
-        factor = max(self.max_factor * (1.0 - ROUNDING), 1.0)
-        return min(now / factor, now - self.small_step), max(now * factor, now + self.small_step)
+        factor, small = self.max_factor, self.small_step
+        return min(now / factor, now - small), max(now * factor, now + small)
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,10 @@ class AutopilotLogs:
             self._fetch.stop('the aircraft is armed again')
             if self._by_itself and self._announced != 'expected':
                 self._publish('expected', '')
-        elif self._flew and self._by_itself:
+        elif self._announced == 'expected':
+            if not self._flew or self._begin():  # there is none, or it cannot be fetched
+                self._publish('failed', '')
             self._flew = False
-            self._begin()
         self._tell()
 
     def status(self) -> Status:
@@ -109,6 +110,7 @@ class AutopilotLogs:
         if aircraft.flight.armed:
             return 'not in flight: the line is for the flight; land and disarm it first'
         self._store.open(folder / LOGS, aircraft.kind.log_suffix)
+        self._store.whole = self._store.fault = ''  # of the log before
         self._fetch.begin(clock().now_s(), aircraft.kind.log_closes_s,
                           by_time=aircraft.kind.logs_by_time)
         self._finishing, self._logged_pct = False, -1

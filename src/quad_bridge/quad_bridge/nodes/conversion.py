@@ -218,8 +218,8 @@ def _parameter_value(value: bool | float | str) -> ParameterValue:
 
 
 def age_s(stamp: Time, now_ns: int) -> float:
-    """Age of a message by its stamp, s; negative for a stamp in the future."""
-    return 1e-9 * float(now_ns - stamp.sec * 1_000_000_000 - stamp.nanosec)
+    """Age of a message by its stamp, s, negative for one in the future; inf before time begins."""
+    return 1e-9 * float(now_ns - stamp.sec * _SECOND - stamp.nanosec) if now_ns else math.inf
 
 
 def values_of(parameters: Sequence[Parameter]) -> dict[str, object]:

@@ -528,11 +528,11 @@ class SerialBridge(ManagedNode):
             return self._link.armed_lately(clock().now_ns())
 
     def _flies(self) -> bool:
-        """Whether it may be in the air: armed, and the throttle up or not known."""
+        """Whether it may be in the air: armed when last heard, the throttle up or not known."""
         with self._lock:
             last = self._link.last_cycle
             low = last is not None and last.control[0] < LOW_THROTTLE
-            return bool(self._link.armed_lately(clock().now_ns())) and not low
+            return self._link.armed and not low
 
     def _ask_check(self, reply: Callable[[str], None], motors: bool) -> None:
         """Have the polarity or the motors checked; raises RefusedError."""
