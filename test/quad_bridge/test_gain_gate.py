@@ -20,6 +20,10 @@ def test_a_change_within_the_limit_is_one_step_and_a_larger_one_several():
     path = steps({'roll.angle.kp': 14.0, 'roll.rate.ki': 0.005}, ACTIVE, BOUNDS)
     assert [p['roll.angle.kp'] for p in path] == pytest.approx([6.0, 12.0, 14.0], rel=1e-3)
     assert [p['roll.rate.ki'] for p in path] == pytest.approx([0.004, 0.005, 0.005])
+    # 0.01 per s in the firmware's units; a step may add 0.004 per rad, or double it
+    ki = 0.01 * math.degrees(1.0) / 1000.0
+    path = steps({'roll.rate.ki': 0.02}, {'roll.rate.ki': ki}, DEFAULT_BOUNDS)
+    assert len(path) == 4
     # whatever a user allows, no step is larger than the table's
     assert bound_from('roll.angle.kp', [0.3, 15.0, 50.0, 0.0]).max_factor == 2.0
     with pytest.raises(RefusedError, match='more than 16 steps'):
