@@ -24,7 +24,7 @@ PARAMETERS = [
     ('serial_bridge', {'port': 'socket://10.0.0.1:1'}, 'make_key'),
     ('serial_bridge', {'port': 'udp://127.0.0.1'}, 'is written udp://HOST:PORT'),
     ('serial_bridge', {'robot_description': 'hexx'}, 'is neither a layout, nor a URDF'),
-    ('bag_logger', {'topics': ['/nothing']}, 'is not a topic of the contract: found /nothing'),
+    ('bag_logger', {'topics': ['/nothing']}, 'is not a topic of this project: found /nothing'),
     ('bag_logger', {'reserve_mb': 1_000_000}, 'MB of free disk for a flight'),
     ('bag_logger', {'prefix': '../flight'}, 'prefix: must be a plain name'),
     ('excitation', {'schedule': '/nowhere.yaml'}, '/nowhere.yaml: cannot be read'),

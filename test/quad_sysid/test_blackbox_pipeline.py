@@ -224,7 +224,7 @@ def test_the_text_fits_a_terminal_and_every_elimination_has_its_reason(answers):
     roll['not_tested'] = [{'name': f'shape:throttle/{i}', 'because': 'still'} for i in range(14)]
     lines = text.lines(tree)
     assert '  - /imu/data: the clock was set back' in '\n'.join(lines)
-    assert '  not tested: 14 shapes: still' in lines
+    assert '  not tested: 14 curves (shape:…): still' in lines
     assert max(map(len, lines)) <= 80
     assert lines[3].startswith('verdict')  # after the axis, and before all else
     assert lines.index('warnings') < next(i for i, line in enumerate(lines) if 'loop, %' in line)

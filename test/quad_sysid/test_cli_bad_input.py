@@ -126,7 +126,7 @@ def test_evaluate_answers_the_axes_it_can_and_names_the_others(
         assert json.loads(capsys.readouterr().out)['axes']['roll']['error']['data'] == 'unseen'
     for words, status, told in (
         ('--axis pitch', 3, f'quad-sysid: pitch: the rate does not move in {plain_bag} ('),
-        ('--axis roll,yaw', 2, 'lacks this axis: found yaw'),
+        ('--axis roll,yaw', 2, 'axes: lacks yaw; it holds'),
         ('--validate 5:5.3', 3, f'quad-sysid: roll, pitch: {plain_bag} has no window'),
         ('--validate 1e5:2e5', 2, '--validate starts after'),
     ):

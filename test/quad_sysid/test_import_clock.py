@@ -25,7 +25,7 @@ def jittered(share: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ('times', 'hz', 'own', 'error', 'words'),
     [
-        (T, 250.0, True, 1e-12, '0 odd intervals; each kept in its own cycle of 250 Hz'),
+        (T, 250.0, True, 1e-12, '0 odd intervals; each sample keeps its own cycle of 250 Hz'),
         (jittered(0.3), 250.0, False, 0.002, 'jitter of 15 % of a cycle'),
         (np.delete(T, [100, 101, 900]), 250.0, True, 1e-12, '2 gaps of 0.012 s in all'),
         (np.sort(np.concatenate([T, T[5::400] + 0.4 * DT])), 250.0, True, 0.01, '10 odd'),
@@ -34,7 +34,7 @@ def jittered(share: float) -> np.ndarray:
         (np.delete(T, np.random.default_rng(1).choice(N, N // 20, replace=False)), 250.0, False,
          0.01, 'the rate is uneven'),
         (np.concatenate([T[:1000], T[1000::5]]), 50.0, False, 0.01, 'the rate is uneven'),
-        (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 0.03, 'kept'),
+        (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 0.03, 'keeps'),
     ],
     ids=['even', 'jitter', 'gaps', 'odd intervals', 'dropped', 'dropped here and there',
          'two rates', 'drift'],

@@ -119,6 +119,7 @@ def test_a_bag_without_commands_tells_its_topics(record, tmp_path, capsys):
 def test_the_page_fits_a_terminal_and_json_is_whole(bag, printed):
     held = content(bag)
     page = lines(held)
+    assert 'roll can be identified' in ' '.join(' '.join(page[:2]).split())
     assert max(map(len, page)) <= 80
     (imu,) = [line for line in page if line.lstrip().startswith('/imu/data ')]
     assert imu.split()[-1] == '0.204'

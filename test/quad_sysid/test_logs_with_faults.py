@@ -103,7 +103,7 @@ class Made:
 
 
 MADE = {
-    'a row of units': Made(with_units_row, ('holds units', '1 lines before the header')),
+    'a row of units': Made(with_units_row, ('holds units', 'before the header, left out: 1')),
     'header in a comment': Made(commented_header),
     'degrees, milliseconds, pulses': Made(lambda: text_of({
         'timestamp': 5e4 + 1e3 * FLOWN['t'],

@@ -51,7 +51,7 @@ class Craft:
     """The motors in the order of `/motors/command`, and the body where it is known."""
 
     name: str
-    """Name in messages, such as `the contract's X frame`."""
+    """Name in messages, such as `the project's X frame`."""
     motors: tuple[Motor, ...]
     mass_kg: float | None = None
     inertia: tuple[float, float, float] | None = None
@@ -322,7 +322,7 @@ def _scaled(motors: Iterable[Motor]) -> tuple[Motor, ...]:
     return tuple(replace(m, x=round(unit * m.x, 6), y=round(unit * m.y, 6)) for m in motors)
 
 
-X = Craft("the contract's X frame", _at('-1,1- -1,-1+ 1,-1- 1,1+'), nominal=True)
+X = Craft("the project's X frame", _at('-1,1- -1,-1+ 1,-1- 1,1+'), nominal=True)
 """Rear left, rear right, front right, front left; what holds without a description."""
 X_ORDERS = {
     'X': '45+ -135+ -45- 135-', 'H': '45- -135- -45+ 135+', 'V': '45+ -135+ -45- 135-',

@@ -65,7 +65,7 @@ def motor_outputs(
     elif autopilot == ARDUPILOT and 'FRAME_CLASS' in parameters:
         craft = of_ardupilot(parameters)
     if isinstance(craft, str):
-        words = f"{craft}: its motors are taken for an X frame in the contract's order; {REMEDY}"
+        words = f"{craft}: its motors are taken for an X frame in this project's order; {REMEDY}"
         return MotorOutputs(words=words)
     channels, range_us = tuple(range(craft.count)), RANGE_US
     if autopilot == PX4:

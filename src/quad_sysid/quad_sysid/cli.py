@@ -155,7 +155,7 @@ def _evaluate_parser(commands: Commands) -> None:
 def _design_parser(commands: Commands) -> None:
     parser = command(
         commands, 'design-excitation', _design,
-        'Design excitation signals for a band, or the flight that tells two effects apart.',
+        'Design excitation signals for a band, or the flight that separates two effects.',
         'quad-sysid design-excitation --band 0.1:20 --out schedule.yaml',
         writes='file',
     )
@@ -333,11 +333,11 @@ def _evaluate(options: argparse.Namespace) -> int:
         return 0
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}
-        beyond = (line for excess in e.outside for line in tables.wrapped(
-            in_units_of(models[e.axis].units, str(excess))))
-        print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)),
-                         *tables.errors(tree).text((0, 1, 3)),
-                         *tables.explanation(tree).text(), *text.growth(tree), *beyond]))
+        beyond = [line for excess in e.outside for line in tables.wrapped(
+            in_units_of(models[e.axis].units, str(excess)))]
+        print('\n'.join([e.axis, *tables.wrapped(words.on_this_flight(tree)), *text.spaced([
+            tables.errors(tree).text((0, 1, 3)), tables.explanation(tree).text(),
+            text.growth(tree), beyond])]))
     return 0
 
 
@@ -456,13 +456,9 @@ def _separation(options: argparse.Namespace) -> tuple[str, str]:
         raise BadInputError('--separate', 'without effects needs --model',
                             remedy='name two effects, or give --model result/model.json')
     show = progress(quiet=options.quiet)
-    if options.model is None:
-        result = separate(options.axis or AXES[0], names, seconds, effects=own,
-                          progress=show)
-    else:
-        models = pick(load_models(options.model, own), options.axis, options.model)
-        result = separate(nearest(models), names, seconds, effects=own, source=options.model,
-                          progress=show)
+    aircraft = options.axis or AXES[0] if options.model is None else nearest(
+        pick(load_models(options.model, own), options.axis, options.model))
+    result = separate(aircraft, names, seconds, effects=own, source=options.model, progress=show)
     show('')
     return words.text(result), words.schedule(result)
 

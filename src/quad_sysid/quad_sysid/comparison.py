@@ -298,15 +298,10 @@ def tree(comparison: Comparison) -> dict[str, Any]:
 
 
 def lines(comparison: Comparison) -> Iterator[str]:
-    """A table for each flight, then what changed."""
+    """What changed in each flight, and its table."""
     reference = comparison.reference
     for flight, changes in comparison:
         yield f'{reference.source} -> {flight.source}'
-        head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
-        yield from Table(head, [*_rows(changes)], range(3, 8)).text()
-        either = {*reference.parameters, *flight.parameters}
-        for line in chain(*(_unknown(one, either) for one in (reference, flight))):
-            yield from wrapped(line, '    ', '  ')
         changed = [f'{c.axis} {c.name}' for c in changes if c.changed]
         one_sided = [c for c in changes if (c.reference is None) != (c.value is None)]
         alone = [f'{c.axis} {c.name}' for c in one_sided if '.' in c.name]
@@ -315,9 +310,14 @@ def lines(comparison: Comparison) -> Iterator[str]:
             yield f'  changed: {", ".join(changed)}'
         elif compared:
             yield (f'  nothing {"that both have " if one_sided else ""}changed, at a level of '
-                   f'{LEVEL:.0%} for all comparisons together')
+                   f'{100.0 * LEVEL:g} % for all comparisons together')
         if compared == {'trim'}:
             yield '  only the trim could be compared'
+        head = ['', 'axis', '', 'before', 'after', 'change', 'error', 'chance', 'unit']
+        yield from Table(head, [*_rows(changes)], range(3, 8)).text()
+        either = {*reference.parameters, *flight.parameters}
+        for line in chain(*(_unknown(one, either) for one in (reference, flight))):
+            yield from wrapped(line, '    ', '  ')
         if alone:
             yield f'  in one of the two only, not compared: {", ".join(alone)}'
             doubtful = [c.name for c in changes if c.changed and '.' not in c.name
@@ -327,7 +327,8 @@ def lines(comparison: Comparison) -> Iterator[str]:
                     f'{", ".join(dict.fromkeys(doubtful))} may have changed only because that '
                     'effect is in one model alone: compare with --no-effects as well', '  ')
         yield ''
-    yield 'error: standard error of the change; chance: of one as large if nothing changed'
+    yield from wrapped('error: standard error of the change; chance: probability of so large a '
+                       'change if nothing had changed', '')
 
 
 def _unknown(flight: Flight, axes: Collection[str] = tuple(EVERY)) -> list[str]:

@@ -471,8 +471,8 @@ def read_model(path: str | Path, axis: str = '', effects: Sequence[Effect] = ())
     if not axis and len(models) == 1:
         axis = next(iter(models))
     if axis not in models:
-        raise BadInputError(f'{place}: axes', 'lacks this axis' if axis else 'has several axes',
-                            axis or None, f'take one of {", ".join(models)}')
+        raise BadInputError(f'{place}: axes', f'lacks {axis}' if axis else 'has several axes',
+                            remedy=f'take one of {", ".join(models)}')
     return Identified(**vars(runnable({axis: models[axis]}, place)[axis]))
 
 

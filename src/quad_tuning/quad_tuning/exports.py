@@ -413,8 +413,8 @@ def _of_axis(firmware: Firmware, axis: str, own: Mapping[str, float],
     if unit is None:
         raise BadInputError(
             f'--scale {axis}', 'is missing', None,
-            'our command per unit of their torque: 1 where the model was identified on their '
-            'torque set-points (quad-sysid import says so), else the factor of their mixer')
+            f'give --scale {axis}=NUMBER, our command per unit of their torque: 1 where the model '
+            'was identified on their torque set-points, else what quad-sysid import says')
     table = firmware.table
     if table is None:
         return

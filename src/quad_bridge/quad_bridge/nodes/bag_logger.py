@@ -64,7 +64,7 @@ class BagLogger(ManagedNode):
         self._topics = ros_node.declared(self, 'topics', list(TOPIC_TYPES), 'topics to record')
         for topic in self._topics:
             if topic not in TOPIC_TYPES:
-                raise BadInputError('parameter topics', 'is not a topic of the contract', topic)
+                raise BadInputError('parameter topics', 'is not a topic of this project', topic)
         self._craft = description.declared_craft(self)
         self._descriptions: dict[bytes, bool] = {}  # descriptions heard, and whether they count
         self._recording: Recording | None = None
@@ -200,7 +200,7 @@ class BagLogger(ManagedNode):
                 self._foreign.add(offered)
                 self.get_logger().warning(
                     f'{topic}: a publisher has type {offer.topic_type}, which is not recorded; '
-                    f'the contract has {TOPIC_TYPES[topic]}'
+                    f'this project has {TOPIC_TYPES[topic]}'
                 )
 
     def _look(self) -> None:

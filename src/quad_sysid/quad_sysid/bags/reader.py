@@ -182,7 +182,7 @@ def _read(path: Path) -> _Content:
                                  sum(p.unreadable for p in pieces))
         if streams[topic].unreadable:
             warnings.append(f'{topic}: {streams[topic].unreadable} messages cannot be read as '
-                            f'{TOPIC_TYPES[topic]} of the contract; left out')
+                            f'{TOPIC_TYPES[topic]}; left out')
     with_rates = {TOPIC_TYPES[IMU_TOPIC].replace('/msg/', '/'), PX4_RATES}
     rates = [name for name, kind in sorted(storage.others.items())
              if kind.replace('/msg/', '/') in with_rates]
@@ -191,14 +191,14 @@ def _read(path: Path) -> _Content:
 
 
 def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
-    """The craft that the bag describes; the contract's X frame where it does not."""
+    """The craft that the bag describes; the project's X frame where it does not."""
     if not content.description:
         path = Path(source)
         first = path if path.is_file() else storage_in(path.iterdir())[0]
         if LATER_PART.search(first.name) and first.name.partition('.')[0] != path.name:
             warnings.append(f'begins with {first.name}, by its name a later file of a split bag, '
-                            f"and has no {DESCRIPTION}: the contract's X frame holds; read the "
-                            'whole bag')
+                            f"and has no {DESCRIPTION}: the project's X frame is assumed; read "
+                            'the whole bag')
         return X
     try:
         craft = from_urdf(content.description)
@@ -206,7 +206,7 @@ def _craft(content: _Content, source: str, warnings: list[str]) -> Craft:
         raise BadInputError(source, f'{DESCRIPTION} {error}') from error
     if craft is None:
         warnings.append(f'{DESCRIPTION} has no joints motor_1 to motor_n, so it says nothing of '
-                        "the motors: left aside, the contract's X frame holds")
+                        "the motors: left aside, the project's X frame is assumed")
     return craft or X
 
 

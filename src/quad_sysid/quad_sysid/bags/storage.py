@@ -65,7 +65,7 @@ class Storage:
                   stored.plain_file(file) as plain):
                 yield from self._read(plain, file, foreign)
         self.warnings += [f'{topic}: {count} messages of type {kind} left out; '
-                          f'the contract has {TOPIC_TYPES[topic]}'
+                          f'this project reads {TOPIC_TYPES[topic]}'
                           for (topic, kind), count in sorted(foreign.items())]
 
     @contextmanager

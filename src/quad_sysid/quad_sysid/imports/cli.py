@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quad_sysid.arguments import Commands, command, log_options, positive
+from quad_sysid.arguments import Commands, command, log_options, positive, quiet_and_json
 from quad_sysid.contract import AXES
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports.units import OPTIONS, columns_of, flag
@@ -47,9 +47,7 @@ def add(commands: Commands) -> None:
                         'ardupilot_hexa_x, betaflight_octox8, a URDF, or a YAML file with '
                         'matrix: (default what the log says, else x; auto: what the motion '
                         'shows)')
-    parser.add_argument('--quiet', action='store_true', help='print nothing but errors')
-    parser.add_argument('--json', action='store_true',
-                        help='list the columns of a table and their guesses as JSON')
+    quiet_and_json(parser, 'the columns of a table and their guesses as JSON')
     table = parser.add_argument_group(
         'for a table', 'COLS are columns separated by commas, one for each axis of --axis'
     )

@@ -207,7 +207,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None,
     steps = np.diff(time_s)
     near = np.abs(steps / interval - 1.0) <= UNEVEN
     odd = int(np.count_nonzero(~near))
-    head = f'{len(time_s)} samples, a median of {1.0 / interval:.4g} Hz, {odd} odd intervals'
+    head = f'{len(time_s)} samples at a median of {1.0 / interval:.4g} Hz, {odd} odd intervals'
     head = '; '.join([*wrong, head])
     highest = min(MAX_RATE_HZ, 4.0 / interval)  # four cycles per sample at most
     if grid_hz is not None and grid_hz > highest:
@@ -228,7 +228,7 @@ def cycles(samples: Stream, where: str, grid_hz: float | None = None,
     times = time_s[0] + dt * np.arange(int((time_s[-1] - time_s[0]) / dt + 1e-6) + 1)
     drawn = draw(samples, times, MAX_DRAWN * max(dt, interval))
     return Cycles(times, dt, drawn, own=False, notes=(
-        f'{head}; rates interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
+        f'{head}; rates are interpolated on a grid of {1.0 / dt:.4g} Hz ({why}){_gaps(drawn, dt)}',
     ))
 
 
@@ -240,10 +240,10 @@ def _own(
     cells, time_s = cells[first], time_s[first]
     out = np.full((int(cells[-1]) + 1, values.shape[1]), np.nan)
     out[cells] = values[first]
-    more = f', {crowded} in an occupied cycle left out' if crowded else ''
+    more = f', {crowded} more of an occupied cycle are left out' if crowded else ''
     times = np.interp(np.arange(len(out)), cells, time_s)
     return Cycles(times, dt, out, own=True, notes=(
-        f'{head}; each kept in its own cycle of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
+        f'{head}; each sample keeps its own cycle of {1.0 / dt:.4g} Hz{more}{_gaps(out, dt)}',
     ))
 
 
@@ -254,7 +254,7 @@ def _gaps(values: FloatArray, dt: float) -> str:
         return ''
     if len(gaps) == 1:
         return f'; a gap of {is_lost.sum() * dt:.3g} s stays'
-    return (f'; {len(gaps)} gaps of {is_lost.sum() * dt:.3g} s in all stay, the longest '
+    return (f'; {len(gaps)} gaps of {is_lost.sum() * dt:.3g} s in all stay, the longest of '
             f'{max(b - a for a, b in gaps) * dt:.3g} s')
 
 

@@ -177,7 +177,7 @@ def _named(head: Sequence[tuple[int, str]], header: int) -> _Layout:
     layout = _Layout(split, [name or f'column {i + 1}' for i, name in enumerate(names)],
                      number, header + 1)
     if header and number > head[0][0]:
-        layout.notes.append(f'{header} lines before the header left out')
+        layout.notes.append(f'lines before the header, left out: {header}')
     _number_repeated(layout)
     units = next(split([head[header + 1][1]]), []) if header + 1 < len(head) else []
     if (_as_wide(units, len(names)) and header + 2 < len(head) and not _is_row(units)

@@ -81,7 +81,7 @@ ANGLE = _named('roll', 'pitch', 'yaw', 'phi', 'theta', 'psi', 'angle', 'attitude
 POSE = _named('pose')
 """Angles of a table that has no others: a rig's pose is one."""
 TORQUE = _named('torque', 'tau', 'moment', 'control', 'cmd', 'output', 'u', r'\bu ?[234]\b',
-                'input')
+                'input', '%')
 TURNING = _named('torque', 'tau', 'moment', 'control', 'controller', 'cmd', 'output', 'thrust')
 """Words that no measured angle has in its name."""
 FORCE = _named('acc', 'accel', 'acceleration', r'\ba ?[xyz]\b')
@@ -142,8 +142,8 @@ class Guess:
     def lacks(self, axes: Sequence[str] = ()) -> tuple[str, ...]:
         """What an import of these axes, or all, needs and no column seems to be."""
         used = self._used(axes or self.axes).keys()
-        return (*(() if {'rate', 'angle'} & used else ('rates',)),
-                *(() if {'control', 'motors'} & used else ('commands',)))
+        return (*(() if {'rate', 'angle'} & used else ('rates (--rate or --angle)',)),
+                *(() if {'control', 'motors'} & used else ('commands (--control or --motors)',)))
 
     def command(self, file: Path, axes: Sequence[str] = (), out: Path | None = None) -> str | None:
         """The command line that imports these axes, or all; None without rates or commands."""
@@ -252,8 +252,11 @@ def _fits(option: str, name: str) -> bool:
         return False
     if option in ('rate', 'angle') and TURNING.search(words):
         return False
+    unit = header_unit(name)
     if option == 'control':
-        return header_unit(name) not in {*UNITS['rate'], *UNITS['angle']}
+        return unit not in {*UNITS['rate'], *UNITS['angle']}
+    if unit in UNITS['control']:
+        return False
     return is_setpoint == option.endswith('reference')
 
 
@@ -299,8 +302,8 @@ def lines(table: Table, file: Path, out: Path | None = None) -> Iterator[str]:
             named = ', '.join(map(flag, options))
             yield ''
             yield from wrapped(
-                f'{named}: not used, since only {" and ".join(axes)} of '
-                f'{", ".join(guessed.axes)} has such a column; to use it, import '
+                f'{named}: not used, since no such column was recognised for '
+                f'{" and ".join(a for a in guessed.axes if a not in axes)}; to use it, import '
                 f'{" and ".join(axes)} alone:', '')
             yield str(guessed.command(file, axes))
 

@@ -120,7 +120,7 @@ def gains_of(
 
 def uneven(notes: Sequence[str]) -> list[str]:
     """The first of the notes, about the clock, unless all samples came in time."""
-    return [note for note in notes[:1] if ', 0 odd intervals; each kept' not in note]
+    return [note for note in notes[:1] if ', 0 odd intervals; each sample keeps' not in note]
 
 
 def record_of(

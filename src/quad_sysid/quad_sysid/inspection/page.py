@@ -18,10 +18,13 @@ MAX_SEGMENTS = 12  # a screen; --json has all
 
 
 def lines(content: Content) -> list[str]:
-    """The text, a screen."""
-    out = [content.source, *_topics(content)]
+    """The text, a screen, which begins with the answer."""
+    able = ', '.join(axis.axis for axis in content.axes if axis.uses[0].possible) or 'no axis'
+    out = [*wrapped(f'not usable: {content.unusable}' if content.unusable else
+                    f'{content.source}: {able} can be identified', '  ', ''),
+           '', *_topics(content)]
     if content.unusable:
-        return [*out, '', *wrapped(f'not usable: {content.unusable}', '')]
+        return out
     out += ['', *_flight(content), '', *_segments(content), '']
     for axis in content.axes:
         out += [*_axis(axis), '']
@@ -60,8 +63,7 @@ def _flight(content: Content) -> Iterator[str]:
         used = ' outside idle segments' if any(s.role == 'idle' for s in content.segments) else ''
         yield f'motors    at a limit for {shares} % of the time{used}'
     else:
-        axes = 'known from the wrench only' if content.craft else 'not known, nor is the mixer'
-        yield f'motors    not recorded: limits are {axes}'
+        yield 'motors    not recorded'  # a warning says what is known of mixer and limits
     if content.craft:
         yield from wrapped(content.craft, '          ', first='craft     ')
     for line in content.rotors:

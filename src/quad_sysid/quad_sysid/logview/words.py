@@ -208,8 +208,8 @@ def delays(part: Part) -> Table:
             for d in on_axis.loop.delays]
     return Table(['axis', 'part', 'ms', 'phase, °', 'at, Hz', 'by'], rows, (2, 3, 4), caption=(
         f'{_title(part)}What delays the loop, at its crossover where that is known. The rest is '
-        'the delay from command to angular acceleration less the parts above it; it is left out '
-        "where the damping's phase lead is larger."))
+        'the delay from command to angular acceleration (negative: a lead) less the parts above '
+        "it; it is left out where the damping's phase lead is larger."))
 
 
 def noise(part: Part) -> Table:

@@ -139,8 +139,8 @@ def pick(models: Mapping[str, AxisModel], axes: str | None,
     chosen = {axis: models[axis] for axis in requested if axis in models}
     absent = [axis for axis in requested if axis not in models and (axis in named or not chosen)]
     if absent:
-        raise BadInputError(f'{path}: axes', 'lacks this axis', ', '.join(absent),
-                            f'it holds {", ".join(models)}')
+        raise BadInputError(f'{path}: axes', f'lacks {", ".join(absent)}',
+                            remedy=f'it holds {", ".join(models)}')
     return runnable(chosen, path)
 
 

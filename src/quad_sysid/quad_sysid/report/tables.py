@@ -305,12 +305,12 @@ def untested(tree: Tree) -> Table:
 
 
 def _counted(names: Sequence[str]) -> str:
-    """The names, each once; of many curves their number."""
+    """The names, each once; the number of curves where there are many."""
     shapes = {name for name in names if name.startswith('shape:')}
     if len(shapes) < 3:
         return ', '.join(dict.fromkeys(names))
     named = dict.fromkeys(name for name in names if name not in shapes)
-    return ', '.join([*named, f'{len(shapes)} shapes'])
+    return ', '.join([*named, f'{len(shapes)} curves (shape:…)'])
 
 
 def gains(tree: Tree, axis: str, active: Mapping[str, float]) -> Table:

@@ -22,28 +22,32 @@ def lines(report: Mapping[str, Any]) -> list[str]:
     for axis, tree in report['axes'].items():
         parts = [_verdict(tree), tables.errors(tree).text((0, 1, 2)), growth(tree),
                  _details(tree), _gains(axis, tree)]
-        parts.append([line for note in tree.get('advice', ())
-                      for line in wrapped(note, '    ', '  - ')])
-        parts.append(_warnings('warnings', [w for w in tree['warnings'] if count[w] == 1]))
+        parts.append(_list('advice', tree.get('advice', ())))
+        parts.append(_list('warnings', [w for w in tree['warnings'] if count[w] == 1]))
         models = tables.models(tree)
         loop, outcome = (models.head.index(name) for name in ('loop, %', 'outcome'))
         columns = [0, 1, *range(2, min(loop, 6)), loop]
         parts.append(models.text(columns, outcome, caption=False))
         out += ['', f'{axis} at {tree["sample_rate_hz"]:g} Hz']
-        out += [line for part in parts if part for line in ('', *part)]
+        out += spaced(parts)
     parts = [tables.aircraft(report).text((0, 1, 2)),
-             _warnings('warnings for several axes', [w for w in count if count[w] > 1])]
-    return out + [line for part in parts if part for line in ('', *part)]
+             _list('warnings for several axes', [w for w in count if count[w] > 1])]
+    return out + spaced(parts)
 
 
-def _warnings(head: str, warnings: Sequence[str]) -> list[str]:
-    lines = [line for warning in warnings for line in wrapped(warning, '    ', '  - ')]
+def spaced(parts: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of the parts that are not empty, a blank one before each."""
+    return [line for part in parts if part for line in ('', *part)]
+
+
+def _list(head: str, sentences: Sequence[str]) -> list[str]:
+    lines = [line for text in sentences for line in wrapped(text, '    ', '  - ')]
     return [head, *lines] if lines else []
 
 
 def _verdict(tree: Mapping[str, Any]) -> list[str]:
-    out = [f'verdict  {tree["verdict"]}', *wrapped(tree.get('reason', ''))]
-    out += wrapped(words.causes(tree))
+    out = [f'verdict  {tree["verdict"]}', *wrapped(words.causes(tree))]
+    out += wrapped(tree.get('reason', ''))
     out += tables.explanation(tree).text()
     out += tables.effects(tree).text((0, 3, 4, 5))
     for effect in tree['effects']:

@@ -65,16 +65,16 @@ VERDICTS = {
 FIGURES = {
     'rise_time_s': ('rise time', 's', 1.0), 'overshoot_pct': ('overshoot', '%', 1.0),
     'settling_time_s': ('settling time', 's', 1.0),
-    'rms_tracking_rad': ('tracking error, RMS', 'deg', 57.29578),
-    'disturbance_rms_rad': ('error after a torque step, RMS', 'deg', 57.29578),
+    'rms_tracking_rad': ('RMS tracking error', 'deg', 57.29578),
+    'disturbance_rms_rad': ('RMS error after a torque step', 'deg', 57.29578),
     'phase_margin_deg': ('phase margin', 'deg', 1.0), 'gain_margin_db': ('gain margin', 'dB', 1.0),
     'peak_sensitivity': ('peak sensitivity', '1', 1.0),
-    'worst_phase_margin_deg': ('phase margin, worst draw', 'deg', 1.0),
-    'worst_gain_margin_db': ('gain margin, worst draw', 'dB', 1.0),
-    'worst_peak_sensitivity': ('peak sensitivity, worst draw', '1', 1.0),
-    'worst_peak_complementary': ('peak complementary, worst draw', '1', 1.0),
+    'worst_phase_margin_deg': ('worst phase margin', 'deg', 1.0),
+    'worst_gain_margin_db': ('worst gain margin', 'dB', 1.0),
+    'worst_peak_sensitivity': ('worst peak sensitivity', '1', 1.0),
+    'worst_peak_complementary': ('worst complementary peak', '1', 1.0),
     'crossover_rad_s': ('crossover', 'rad/s', 1.0), 'bandwidth_rad_s': ('bandwidth', 'rad/s', 1.0),
-    'motor_noise_rms': ('noise in the command, RMS', 'norm.', 1.0),
+    'motor_noise_rms': ('RMS noise in the command', 'norm.', 1.0),
     'unstable_draws': ('unstable draws', '1', 1.0),
 }
 """A designer's figure → its label, unit and factor into that unit, in order of reading."""

@@ -20,17 +20,19 @@ IDLE = '{segment: idle, duration_s: 3.0}'
 
 
 def text(result: Separation) -> str:
-    """The table of flights and the reason, in lines of 80 columns."""
+    """The flight to fly, with the reason, and the table, in lines of 80 columns."""
     return '\n'.join(_lines(result))
 
 
 def _lines(result: Separation) -> Iterator[str]:
     a = result.aircraft
     yield f'{result.first.name} or {result.second.name} on {a.axis}: which flight separates them'
+    yield from textwrap.wrap(why(result), WIDTH)
+    yield ''
     yield from textwrap.wrap(
-        f'plant: {a.source}, gain {a.theta[0]:.3g}, lag {1e3 * a.theta[1]:.0f} ms, '
-        f'delay {1e3 * a.theta[2]:.0f} ms; assumed: {result.first.words()}; '
-        f'{result.second.words()}', WIDTH,
+        f'plant: {a.source}, gain {a.theta[0]:.3g} rad/s² per unit, '
+        f'lag {1e3 * a.theta[1]:.0f} ms, delay {1e3 * a.theta[2]:.0f} ms; '
+        f'assumed: {result.first.words()}; {result.second.words()}', WIDTH,
     )
     yield ''
     yield ROW.format('', '', 'angle', 'apart', 'apart', 'right', '95 %')
@@ -58,8 +60,6 @@ def _lines(result: Separation) -> Iterator[str]:
             'excitation node ends a flight, or move too little to identify the base; the best of '
             'the others are shown.', WIDTH,
         )
-    yield ''
-    yield from textwrap.wrap(why(result), WIDTH)
 
 
 def why(result: Separation) -> str:
