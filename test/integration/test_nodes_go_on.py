@@ -89,9 +89,11 @@ def test_the_identification_outlives_bad_bags_and_sends_of_no_bag_but_the_logger
     assert node.end() == 0
 
 
-def test_the_bag_that_is_asked_for_comes_before_those_that_wait() -> None:
+def test_what_is_asked_for_comes_first_and_a_name_that_cannot_be_ends_nothing() -> None:
     queue = deque(['waits'])
-    node = MagicMock(_worker=None, _queue=queue, _folder=Path('/bags'))
+    node = MagicMock(_worker=None, _queue=queue, _folder=Path('/bags'), _out='')
     node.get_parameter.return_value.value = 'asked'
     assert IdentificationNode._on_identify(node, None, Trigger.Response()).success
     assert [*queue] == ['/bags/asked', 'waits']
+    IdentificationNode._work(node, f'/{250 * "x"}')  # whose report has too long a name
+    assert 'File name too long' in node._outcome

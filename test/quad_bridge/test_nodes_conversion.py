@@ -78,6 +78,7 @@ def test_vectors_turn_y_and_z_and_all_messages_carry_the_same_stamp_and_frame():
     kept = [m.imu, m.motors, m.wrench, m.attitude_setpoint, m.rate_setpoint, m.excitation]
     stamps = {(x.header.stamp.sec, x.header.stamp.nanosec, x.header.frame_id) for x in kept}
     assert stamps == {(1, 500_000_000, 'base_link')}
+    assert conversion.age_s(m.imu.header.stamp, 0) == math.inf  # before time begins
     assert vector(m.imu.linear_acceleration) == (0.0, 0.0, 9.81)  # at rest it is up
     assert vector(m.imu.angular_velocity) == (1.0, -2.0, -3.0)
     assert vector(m.rate_setpoint.vector) == (4.0, -5.0, -6.0)

@@ -59,6 +59,8 @@ def test_a_multisine_has_its_power_in_its_lines_only():
     assert power[2:61].sum() > 0.999999 * power.sum()
     assert power[2:61].min() == pytest.approx(power[2:61].max(), rel=1e-6)
     assert np.abs(values).max() / values.std() < 2.0
+    many = {'f0_hz': 0.05, 'f1_hz': 10.0, 'period_s': 2000.0}  # 19,901 lines
+    assert abs(signals.waveform('multisine', many, 'test').at(1.0)) <= 1.0
 
 
 def test_a_chirp_sweeps_from_f0_to_f1():

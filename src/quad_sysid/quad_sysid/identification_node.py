@@ -193,9 +193,9 @@ class IdentificationNode(Node):  # type: ignore[misc]
 
     def _work(self, bag: str) -> None:
         """Runs outside the executor; leaves its result for `_collect`."""
-        default = Path(bag).with_name(f'{Path(bag).stem}_identified')
-        folder = free_folder(Path(self._out) if self._out else default)
         try:
+            default = Path(bag).with_name(f'{Path(bag).stem}_identified')
+            folder = free_folder(Path(self._out) if self._out else default)
             self._outcome = session.run([self._better(bag)], folder, self._options, self._on_line)
         except QuadSysidError as error:
             self._outcome = str(error)

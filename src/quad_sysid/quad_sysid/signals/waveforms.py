@@ -136,8 +136,8 @@ class Multisine:
         k = np.arange(1, last - first + 2)
         omega: FloatArray = 2.0 * np.pi / self.period_s * np.arange(first, last + 1.0)
         phase: FloatArray = -np.pi * k * (k - 1) / len(k)
-        grid = np.linspace(0.0, self.period_s, 16 * (last + 1), endpoint=False)
-        peak = float(np.abs(np.cos(np.outer(grid, omega) + phase).sum(axis=1)).max())
+        lines = np.append(np.zeros(first), np.exp(1j * phase))
+        peak = 8 * (last + 1) * float(np.abs(np.fft.irfft(lines, 16 * (last + 1))).max())
         return omega, phase, peak * 1.01
 
     def at(self, time_s: float) -> float:
