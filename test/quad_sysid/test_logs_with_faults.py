@@ -79,8 +79,7 @@ def in_frd(*, told_by_gravity: bool) -> str:
 
 def one_infinite() -> str:
     lines = text_of(some(*PLAIN)).splitlines()
-    cells = lines[1500].split(',')
-    lines[1500] = ','.join([*cells[:-1], 'inf'])
+    lines[1500] = f'{lines[1500].rpartition(",")[0]},inf'
     return '\n'.join(lines) + '\n'
 
 

@@ -240,8 +240,7 @@ def _look(options: argparse.Namespace) -> int:
         from quad_sysid.logview.page import MARK, page
 
         name = Path(options.file[0]).resolve().name.partition('.')[0] or 'log'
-        stem = name if only else 'several'
-        out = Path(options.out or f'{stem}_look.html')
+        out = Path(options.out or f'{name if only else "several"}_look.html')
         check_page(out, MARK, 'look')
         show('drawing')
         write_whole(out, page(only) if only else several.page(looks))

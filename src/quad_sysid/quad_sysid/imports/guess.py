@@ -255,9 +255,7 @@ def _fits(option: str, name: str) -> bool:
     unit = header_unit(name)
     if option == 'control':
         return unit not in {*UNITS['rate'], *UNITS['angle']}
-    if unit in UNITS['control']:
-        return False
-    return is_setpoint == option.endswith('reference')
+    return unit not in UNITS['control'] and is_setpoint == option.endswith('reference')
 
 
 def _axes(triple: Sequence[str]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from quad_sysid.axes import EVERY
 from quad_sysid.pipeline.constants import RIVAL
+from quad_sysid.report.tables import untested
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,5 @@ def _prbs(axis: str) -> str:
 
 
 def _untested(tree: Mapping[str, Any]) -> Iterator[Next]:
-    reasons: dict[str, list[str]] = {}
-    for item in tree.get('not_tested', ()):
-        reasons.setdefault(item['because'], []).append(item['name'])
-    for because, names in sorted(reasons.items(), key=lambda r: len(r[1]))[:6]:
-        listing = ', '.join(dict.fromkeys(names[:4])) + (' and others' if len(names) > 4 else '')
-        yield Next(f'not tested: {listing}, since {because}')
+    for names, because in sorted(untested(tree).rows, key=lambda row: len(row[0]))[:6]:
+        yield Next(f'not tested: {names}, since {because}')

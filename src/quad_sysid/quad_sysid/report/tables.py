@@ -300,7 +300,8 @@ def untested(tree: Tree) -> Table:
     """Effects that could not be tested, grouped by reason."""
     reasons: dict[str, list[str]] = {}
     for item in tree.get('not_tested', []):
-        reasons.setdefault(item['because'], []).append(item['name'])
+        if not tree.get('reason', '').startswith(item['because']):  # else the verdict says it
+            reasons.setdefault(item['because'], []).append(item['name'])
     return Table(['not tested', 'because'], [[_counted(n), why] for why, n in reasons.items()])
 
 
