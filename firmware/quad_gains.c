@@ -85,8 +85,8 @@ static uint8_t confirm(quad_gains *gains)
         return QUAD_GAINS_RESULT_NOT_FLOWN;
     }
     copy_set(gains->good, gains->active);
+    gains->confirmations += gains->watching ? 1u : 0u; /* else it is repeated after a lost answer */
     gains->watching = false;
-    gains->confirmations++;
     return QUAD_GAINS_RESULT_OK;
 }
 

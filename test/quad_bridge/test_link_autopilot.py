@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 from autopilots import ALL, ARDUPILOT, BETAFLIGHT, GRAVITY, PX4, Autopilot, mav
-from flight_controller import HOST0_NS, Line, Port, Pty
+from flight_controller import HOST0_NS, FlightController, Line, Port, Pty
 
 from quad_bridge.craft import LAYOUTS, from_urdf
 from quad_bridge.link.autopilot import Autopilot as TheirTopics
@@ -151,6 +151,13 @@ def test_of_several_batteries_the_one_with_the_lowest_number_counts():
     assert counted == [True, True, False, True]
 
 
+def test_old_angles_are_not_given_to_rates_without_any():
+    topics, rates = TheirTopics(), f.SlowSensors(0, gyro=(0.1, 0.0, 0.0))
+    topics.inertial(f.Attitude(0, (0.1, 0.0, 0.0), rates.gyro), 0)
+    given = [topics.inertial(rates, now_ns).attitude for now_ns in (250_000_000, 350_000_000)]
+    assert given == [(0.1, 0.0, 0.0), None]
+
+
 US_WRAPS, MS_WRAPS = 2**32, 1000 * 2**32
 """Counters of 32 bits: after 71.6 minutes and 49.7 days."""
 
@@ -185,10 +192,10 @@ def test_slow_answers_to_timesync_are_told_as_that(taken_s, words, one_way):
 def test_streams_that_give_way_to_its_log_are_not_asked_for_and_nobody_is_blamed():
     line = flown(Autopilot(ARDUPILOT), 4.0)
     autopilot = line.link.autopilot
-    asked, line.controller.share = autopilot.requests, 0.25
+    asked, line.controller.share = line.controller.heard.count('COMMAND_LONG'), 0.25
     autopilot.log_comes(now=True)
     line.fly(4.0)
-    assert autopilot.requests == asked
+    assert line.controller.heard.count('COMMAND_LONG') == asked
     assert not autopilot.slow_ones(line.now_ns)
     line.controller.share = 1.0
     autopilot.log_comes(now=False)
@@ -244,7 +251,11 @@ def test_outputs_in_another_order_are_followed():
 
 
 def test_who_does_not_tell_is_taken_for_an_x_frame_and_that_is_said():
-    line = flown(Autopilot(PX4, parameters={}), 6.0)
+    line = flown(FlightController(), 1.0)  # another one was on the port before
+    line.opened()
+    line.controller = Autopilot(PX4, parameters={})
+    line.controller.step = line.steps
+    line.fly(6.0)
     peer, parameters = line.described
     motors = motor_outputs(peer.autopilot, line.link.name, parameters)
     assert (motors.craft, motors.channels) == (None, (1, 3, 0, 2))

@@ -30,7 +30,7 @@ class Started(SerialPort):
     """A port that notes what it hears and how often it was opened."""
 
     def __init__(self, path):
-        self.data, self.openings = b'', 0
+        self.data, self.openings, self.early = b'', 0, False
         super().__init__(str(path), 921600, self.take, self.count)
 
     def take(self, data):
@@ -38,6 +38,7 @@ class Started(SerialPort):
 
     def count(self):
         self.openings += 1
+        self.early |= self.write(b'meant for the device before')
 
     def reaches(self, *states):
         until(lambda: self.status.state in states)
@@ -61,6 +62,7 @@ def start(monkeypatch):
 
     yield make
     for port in ports:
+        assert not port.early
         port.stop()
         port.stop()
         port.reaches(PortState.CLOSED)

@@ -36,9 +36,6 @@ class Story(Line):
         self.since_restart = len(self.out)
         self.fly(seconds)
 
-    def reopen(self):
-        self.link.opened()
-
     def delayed(self, cycles):
         self.delay = cycles
 
@@ -101,7 +98,7 @@ def clock_set(by_ms):
 
 
 def reopened(away_s, restart_after, restarts):
-    steps = ('lose', away_s, {'restart_after': restart_after}), ('reopen',), ('fly', 2.0)
+    steps = ('lose', away_s, {'restart_after': restart_after}), ('opened',), ('fly', 2.0)
     more = {'restarts': restarts, 'held': NEW_CLOCK, 'clock restarts': None}
     return steps, {'seconds': 3.0, **more}
 
@@ -133,7 +130,7 @@ STORIES = {
         {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'wraps': 1},
     ),
     'a time of 32 bits that wraps while the cable is out': (
-        (('lose', 4.0), ('reopen',), ('fly', 1.0)),
+        (('lose', 4.0), ('opened',), ('fly', 1.0)),
         {'bits': 32, 'clock_us': 2**32 - 4_000_000, 'held': NEW_CLOCK, 'clock restarts': 1},
     ),
     # doubled twice, what may be off covers them

@@ -84,7 +84,10 @@ def test_what_was_seen_at_rest_is_subtracted_from_the_next_stamp_on_and_forgotte
     assert live.request() is None
     with pytest.raises(RefusedError, match=r'it is armed: .*; the earlier one stays'):
         live.estimate(EstimateRequest('asked for', ()))
+    live.cycle(replace(STILL, flags=0))
+    live.want('recording')  # just before it restarts, with another bias
     live.restarted()
+    assert live.request() is None
     assert (live.stamped(4).gyro_bias, live.words) == ((0.0, 0.0, 0.0), NOT_YET)
 
 

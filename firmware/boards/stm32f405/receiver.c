@@ -6,6 +6,7 @@
 
 #define RING 256u /* a power of two; 6 ms at 420,000 baud */
 #define ERRORS 7u /* parity, framing, noise */
+#define OVERRUN (1u << 3) /* may stand alone, and asks until the data are read: 30.3.3 */
 
 static struct {
     uint8_t bytes[RING];
@@ -37,9 +38,9 @@ void receiver_start(serial_kind kind)
 void receiver_interrupt(void)
 {
     const uint32_t status = UART5->SR;
-    if ((status & USART_SR_RXNE) != 0) {
+    if ((status & (USART_SR_RXNE | OVERRUN)) != 0) {
         const uint8_t byte = (uint8_t)UART5->DR;
-        if ((status & ERRORS) == 0) {
+        if ((status & USART_SR_RXNE) != 0 && (status & ERRORS) == 0) {
             line.bytes[line.head % RING] = byte;
             line.at_us[line.head % RING] = (uint16_t)TIM2->CNT;
             line.head++;

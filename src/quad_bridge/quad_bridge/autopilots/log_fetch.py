@@ -50,7 +50,6 @@ class LogFetch:
         self._from = self._until = 0  # what was asked for
         self._due_s, self._tries = -math.inf, 0
         self._ends = False  # whether to say that no more is wanted
-        self._end = -1  # where the log ends, by a part that is shorter than the others
 
     @property
     def busy(self) -> bool:
@@ -140,8 +139,6 @@ class LogFetch:
 
     def _data(self, frame: f.LogData, now_s: float) -> None:
         self._tries, self._due_s = 0, now_s + DATA_S
-        if len(frame.data) < CHUNK and frame.offset + len(frame.data) != self._until:
-            self._end = frame.offset + len(frame.data)
         if frame.offset > self.got:
             if len(self._waiting) < WINDOW // CHUNK:
                 self._waiting[frame.offset] = frame.data
@@ -149,7 +146,8 @@ class LogFetch:
             self._add(frame.data)
             while self.got in self._waiting:
                 self._add(self._waiting.pop(self.got))
-        if self.got == self._end and self.entry is not None:
+        # ArduPilot says the same where its card has not been read for once: asked again, it has
+        if not frame.data and frame.offset == self._from == self.got and self.entry is not None:
             self.entry = replace(self.entry, size=self.got)  # the list had said about how many
         if self.got >= self._until or frame.offset + len(frame.data) >= self._until:
             self._due_s = now_s  # the window has passed: the next, or the hole

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -26,9 +27,10 @@ class LogStore:
     def there(self, entry: LogEntry) -> int:
         """Number of bytes of this log that are stored already."""
         self._name, self.fault, self.whole = f'log_{entry.number}_{entry.size}', '', ''
-        for path in (self._path(self._suffix), self._path('.part')):
-            with contextlib.suppress(OSError):
-                return path.stat().st_size
+        if self._path(self._suffix).exists():
+            return entry.size  # whole, however large the list took it for
+        with contextlib.suppress(OSError):
+            return self._path('.part').stat().st_size
         return 0
 
     def write(self, parts: Iterable[LogData]) -> None:
@@ -61,6 +63,8 @@ class LogStore:
             return
         try:
             if not whole.exists():
+                with part.open('rb') as file:
+                    os.fsync(file.fileno())  # or a power cut leaves a name without a log
                 part.replace(whole)
             self.whole = str(whole)
         except OSError as error:

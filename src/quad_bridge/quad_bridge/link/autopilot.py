@@ -12,18 +12,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from quad_bridge.wire import frames as f
 from quad_bridge.wire.dialect import mavlink_map
-from quad_bridge.wire.frames import (
-    Attitude,
-    Battery,
-    Command,
-    Heartbeat,
-    Outputs,
-    RcChannels,
-    RotorSpeeds,
-    SlowSensors,
-    Vector3,
-)
 
 SET_MESSAGE_INTERVAL = 511
 ROUND_NS = 1_000_000_000  # interval at which the rates are checked
@@ -35,6 +25,7 @@ MAX_DURATION_NS = 10_000_000_000  # or for three of its own intervals, up to thi
 FRAME_BYTES = 12  # overhead of a message
 LINE_SHARE = 0.8  # share of a serial line's capacity that telemetry may use
 MIN_HZ = 10.0  # no stream is requested at less than that to spare the line
+ANGLES_NS = 300_000_000  # older angles are not those of a message without any
 MOVED_RAD = 0.01  # angles that change by more while all rates are exactly zero
 INERTIAL, MOTORS, ROTORS = '/imu/data', '/motors/command', '/motors/state'
 STICKS, COMPASS, PRESSURE, BATTERY = '/rc/in', '/imu/mag', '/baro', '/battery'
@@ -85,7 +76,7 @@ def load(rates: Mapping[str, float]) -> float:
     return sum(hz * (FRAME_BYTES + mavlink_map[IDS[n]].unpacker.size) for n, hz in rates.items())
 
 
-def name_of(peer: Heartbeat) -> str:
+def name_of(peer: f.Heartbeat) -> str:
     """The autopilot's name by its heartbeat; empty for one that does not say."""
     return AUTOPILOTS.get(peer.autopilot, '')
 
@@ -95,9 +86,9 @@ class Inertial:
     """Data for /imu/data, FRD, rad/s, m/s², rad; None where unknown."""
 
     time_us: int
-    gyro: Vector3 | None
-    accel: Vector3 | None
-    attitude: Vector3 | None
+    gyro: f.Vector3 | None
+    accel: f.Vector3 | None
+    attitude: f.Vector3 | None
     grain_us: int = 1  # resolution of the time: 1000 where it is in ms, with 32 bits
 
 
@@ -124,8 +115,8 @@ class Autopilot:
         self._streams: dict[str, _Stream] = {}
         self._sources: dict[tuple[str, str], tuple[int, int]] = {}
         """Topic and message to when its content last came, and how long it counts as alive."""
-        self._angles: Vector3 | None = None
-        self._zeros: dict[str, Vector3] = {}
+        self._angles: f.Vector3 | None = None
+        self._zeros: dict[str, f.Vector3] = {}
         """Messages with rates of exactly zero to the angles at which these began."""
         self._without_rates: set[str] = set()
         self._rpm: dict[int, float] = {}
@@ -133,12 +124,13 @@ class Autopilot:
         self._battery: int | None = None
         self._turns = False  # whether any rate has ever been other than zero
         self.generic = False  # whether its heartbeat bears no name
-        self.requests = 0  # intervals asked for so far
         self.lowered: set[str] = set()  # messages whose rate was reached and lowered by another
 
     def clear(self) -> None:
-        """Forget the autopilot."""
+        """Forget the autopilot, but neither who it is nor what is wanted of it."""
+        generic, also_hz = self.generic, self.also_hz
         self.__init__(self.budget)  # type: ignore[misc]
+        self.generic, self.also_hz = generic, also_hz
 
     @property
     def betaflight(self) -> bool:
@@ -175,10 +167,10 @@ class Autopilot:
         self._sources[topic, name] = now_ns, lasting_ns
         return self._source(topic, now_ns) == name
 
-    def inertial(self, frame: Attitude | SlowSensors, now_ns: int) -> Inertial | None:
+    def inertial(self, frame: f.Attitude | f.SlowSensors, now_ns: int) -> Inertial | None:
         """Data for /imu/data from `frame`; None: nothing, or a better message is received."""
-        self.note('ATTITUDE' if isinstance(frame, Attitude) else frame.name)
-        if isinstance(frame, Attitude):
+        self.note('ATTITUDE' if isinstance(frame, f.Attitude) else frame.name)
+        if isinstance(frame, f.Attitude):
             self._angles = frame.angles
             rates = self._measured('ATTITUDE', frame.rates)
             if not self.feeds(INERTIAL, 'ATTITUDE', now_ns):
@@ -187,12 +179,12 @@ class Autopilot:
         gyro = self._measured(frame.name, frame.gyro)
         if gyro is None or not self.feeds(INERTIAL, frame.name, now_ns):
             return None
-        is_recent = self._alive(INERTIAL, 'ATTITUDE', now_ns)
+        last_ns, _ = self._sources.get((INERTIAL, 'ATTITUDE'), (0, 0))
         grain_us = 1 if frame.name == 'HIGHRES_IMU' else 1000
-        angles = self._angles if is_recent else None
+        angles = self._angles if now_ns - last_ns <= ANGLES_NS else None
         return Inertial(frame.time_us, gyro, frame.accel, angles, grain_us)
 
-    def slow(self, frame: SlowSensors, now_ns: int) -> list[tuple[str, SlowSensors]]:
+    def slow(self, frame: f.SlowSensors, now_ns: int) -> list[tuple[str, f.SlowSensors]]:
         """Topic and frame of what this message feeds beside /imu/data."""
         parts = []
         if frame.mag_gauss is not None and self.feeds(COMPASS, frame.name, now_ns):
@@ -202,8 +194,8 @@ class Autopilot:
         return parts
 
     def sticks(
-        self, frame: RcChannels, now_ns: int, channels: tuple[float, ...] = ()
-    ) -> RcChannels | None:
+        self, frame: f.RcChannels, now_ns: int, channels: tuple[float, ...] = ()
+    ) -> f.RcChannels | None:
         """The pilot's channels: roll, pitch, throttle, yaw …; None where others bring them.
 
         `channels` of these four, from 1, as the receiver sends them, where the autopilot says it.
@@ -222,7 +214,7 @@ class Autopilot:
         order = dict.fromkeys((*channels, *numbers))
         return replace(frame, channels=tuple(frame.channels[int(k) - 1] for k in order))
 
-    def battery(self, frame: Battery, now_ns: int) -> bool:
+    def battery(self, frame: f.Battery, now_ns: int) -> bool:
         """Whether this one counts: of several batteries the one with the lowest number."""
         self.note(frame.name)
         if frame.name == 'BATTERY_STATUS':
@@ -232,12 +224,12 @@ class Autopilot:
                 return False
         return self.feeds(BATTERY, frame.name, now_ns)
 
-    def outputs(self, frame: Outputs, now_ns: int) -> bool:
+    def outputs(self, frame: f.Outputs, now_ns: int) -> bool:
         """Whether these are the motors' pulses: those of the first port."""
         self.note('SERVO_OUTPUT_RAW')
         return frame.port == 0 and self.feeds(MOTORS, 'SERVO_OUTPUT_RAW', now_ns)
 
-    def rotors(self, frame: RotorSpeeds, now_ns: int) -> RotorSpeeds | None:
+    def rotors(self, frame: f.RotorSpeeds, now_ns: int) -> f.RotorSpeeds | None:
         """All ESCs' speeds, once the last of the messages that bring them has come."""
         self.note(frame.name)
         source = TELEMETRY[0] if frame.name in TELEMETRY else frame.name
@@ -249,7 +241,7 @@ class Autopilot:
         rpm = tuple(self._rpm.get(k, math.nan) for k in range(max(self._rpm) + 1))
         return replace(frame, first=0, rpm=rpm) if is_complete else None
 
-    def due(self, now_ns: int) -> list[Command]:
+    def due(self, now_ns: int) -> list[f.Command]:
         """Messages to request now: those that come too rarely, or not at all."""
         if now_ns < self._look_ns or self._log_comes:
             return []
@@ -270,8 +262,7 @@ class Autopilot:
                 stream.pause_ns = min(2 * stream.pause_ns, PAUSE_NS[1])
                 stream.requests += 1
                 interval_us = float(round(1e6 / target_hz))
-                commands.append(Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
-        self.requests += len(commands)
+                commands.append(f.Command(SET_MESSAGE_INTERVAL, (float(IDS[name]), interval_us)))
         return commands
 
     def rates(self, now_ns: int) -> dict[str, tuple[float, float]]:
@@ -328,7 +319,7 @@ class Autopilot:
         targets |= {name: hz for name, hz in self.also_hz.items() if name not in targets}
         return fitted(targets, self.budget)
 
-    def _measured(self, name: str, rates: Vector3 | None) -> Vector3 | None:
+    def _measured(self, name: str, rates: f.Vector3 | None) -> f.Vector3 | None:
         """Rates, or None where they are exactly zero although the angles have moved."""
         if rates is None:
             return None

@@ -50,6 +50,7 @@ class ClockEstimator:
         self.off_ns = 0.0  # by how much the last trip was off what was estimated before it
         self.too_long_s = math.nan  # the last round trip, where it was dropped as too long
         self._block: list[tuple[int, int]] = []
+        self._early: list[_Trip] = []  # too few as yet to take the place of arrivals
 
     @property
     def converged(self) -> bool:
@@ -76,24 +77,29 @@ class ClockEstimator:
         self._outliers, self.drift = 0, 0.0
         self.one_way = False
         self._block.clear()
+        self._early = []
 
     def add_arrival(self, device_ns: int, arrival_ns: int) -> None:
         """Take a message's device time and arrival, from an aircraft that answers no TIMESYNC.
 
-        Of each block the one that took least counts.
+        Of each block the one that took least counts, until there are enough round trips.
         """
-        if self._trips and not self.one_way:
+        if self.converged and not self.one_way:
             return
         if len(self._block) >= MAX_IN_BLOCK:
             self._block.clear()  # its time stands still
         self._block.append((device_ns, arrival_ns))
-        if device_ns - self._block[0][0] < BLOCK_NS:
-            if device_ns < self._block[0][0]:
+        since_ns = device_ns - self._block[0][0]
+        if since_ns < BLOCK_NS:
+            if since_ns < -BLOCK_NS:  # what lies less behind was overtaken on a network
                 self.reset()
             return
         device, arrival = min(self._block, key=lambda trip: trip[1] - trip[0])
         self._block.clear()
-        self.one_way = True
+        if not self.one_way:
+            self._early = [*self._trips]
+            self._trips.clear()
+            self.one_way = True
         self._take(_Trip(device, arrival - device, 0))
 
     def add(self, sent_ns: int, device_ns: int, received_ns: int) -> bool:
@@ -106,10 +112,16 @@ class ClockEstimator:
             self.rejected += 1
             self.too_long_s = 1e-9 * trip.round_trip_ns
             return False
-        self.too_long_s = math.nan
+        trips = [trip]
         if self.one_way:
+            self._early.append(trip)
+            if len(self._early) < MIN_SAMPLES:
+                return True
+            trips = self._early
+            self._trips.clear()  # no clock has jumped
             self.reset()
-        return self._take(trip)
+        self.too_long_s = math.nan
+        return [self._take(each) for each in trips][-1]
 
     def _take(self, trip: _Trip) -> bool:
         if self._trips and self._jumped(trip):

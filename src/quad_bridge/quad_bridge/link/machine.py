@@ -256,13 +256,11 @@ class Link:
     def describe_again(self) -> None:
         """Learn an autopilot's messages and parameters anew, since it is another one."""
         self.parameters, self._described, self._ask_ns = None, None, 0
-        generic = self.autopilot.generic
         self.autopilot.clear()
-        self.autopilot.generic = generic
 
     def _forget_autopilot(self) -> None:
-        self.peer, self.parameters, self._described, self._ask_ns = None, None, None, 0
-        self.autopilot.clear()
+        self.peer = None
+        self.describe_again()
 
     def _arrived(self, frame: Any, _now_ns: int) -> None:
         self.stamping.out.append(Arrived(frame))
@@ -292,7 +290,7 @@ class Link:
             self.stamping.untimed(BATTERY, frame)
 
     def _outputs(self, frame: f.Outputs, now_ns: int) -> None:
-        is_known = self._described is not None and not self.cycles
+        is_known = self._described is not None and self.last_cycle is None
         if self.autopilot.outputs(frame, now_ns) and is_known:
             self.stamping.other(MOTORS, frame, frame.time_us, 1, now_ns, bits=32)
 

@@ -170,10 +170,10 @@ class SerialPort:
             device = devices[(k + self._skip) % len(devices)]
             try:
                 if is_udp(device):
-                    self._port = UdpPort(device)
-                    device = self._port.url  # which says whether it listens
+                    port: Any = UdpPort(device)
+                    device = port.url  # which says whether it listens
                 else:
-                    self._port = serial.serial_for_url(
+                    port = serial.serial_for_url(
                         device, baudrate=self._baud, timeout=0, write_timeout=0, exclusive=True
                     )
             except FAULTS as error:
@@ -183,10 +183,12 @@ class SerialPort:
                 otherwise = PortState.UNREACHABLE if network else PortState.UNUSABLE
                 self._note(state=remedy or otherwise, detail=_one_line(error))
                 continue
-            self._note(state=PortState.OPEN, detail='', opened=self.status.opened + 1, path=device,
+            self._note(detail='', opened=self.status.opened + 1, path=device,
                        latency_ms=latency_timer(device))  # fmt: skip
             if not self._stop.is_set():  # while a network's peer was waited for
                 self._on_open()
+            self._port = port  # what was meant for the device before is not written to this one
+            self._note(state=PortState.OPEN)
             return True
         if not devices:
             self._note(state=PortState.NOT_THERE, detail=f'nothing matches {self._path}')

@@ -10,22 +10,19 @@ from functools import partial
 from typing import NamedTuple
 
 from quad_bridge.link.autopilot import INERTIAL, Inertial
-from quad_bridge.link.clock import ClockEstimator, DeviceTime
+from quad_bridge.link.clock import SPAN, ClockEstimator, DeviceTime
 from quad_bridge.link.guards import TIMEOUT_NS, LateGuard, StepGuard
 from quad_bridge.wire import frames as f
 
 FUTURE_NS = 100_000_000  # a stamp later than its arrival by more is false
 PAST_US = 2_000_000  # a time so far behind what else the aircraft says is false
 NEAR_US = 60_000_000  # a device time has wrapped at 32 bits only within this of the wrap
-WRAP_US = 1 << 32
 
 
 class Stamped(NamedTuple):
     """A frame for a topic with its stamp, host time in ns; the node makes ROS time of it."""
 
-    frame: (
-        f.Cycle | f.RcChannels | f.Battery | f.SlowSensors | Inertial | f.Outputs | f.RotorSpeeds
-    )
+    frame: f.Frame | Inertial
     stamp_ns: int
     topic: str  # that it is for: a message may feed several
 
@@ -33,11 +30,7 @@ class Stamped(NamedTuple):
 class Arrived(NamedTuple):
     """A frame as it arrives; cycles and channels are stamped later, or never."""
 
-    frame: (
-        f.Cycle | f.CommandAck | f.ParamValue | f.GainsState | f.RcChannels | f.StatusText
-        | f.Heartbeat | f.AttitudeTarget | f.LocalPosition | f.LandedState | f.Version
-        | f.LogEntry | f.LogData
-    )  # fmt: skip
+    frame: f.Frame
 
 
 class Restarted(NamedTuple):
@@ -100,7 +93,7 @@ class Stamping:
         """Stamp an autopilot's message in place of a cycle; its arrival also sets the clock."""
         whole_us = frame.time_us
         if frame.grain_us > 1:
-            whole_us = self._nearest(whole_us, WRAP_US * frame.grain_us)
+            whole_us = self._nearest(whole_us, SPAN * frame.grain_us)
         device_us = self._anchor_us = self.device_time.extend(whole_us, NEAR_US)
         self.clock.add_arrival(1000 * device_us, now_ns)
         self._timed(frame, 1000 * device_us, now_ns, uneven=False)
@@ -123,7 +116,7 @@ class Stamping:
         """
         device_us = self.device_time.peek(time_us, NEAR_US)
         if grain_us > 1 or bits == 32:
-            device_us = self._nearest(device_us, WRAP_US * grain_us)
+            device_us = self._nearest(device_us, SPAN * grain_us)
         if self._anchor_us and device_us < self._anchor_us - PAST_US:
             self.false_times += 1
             return
@@ -148,7 +141,7 @@ class Stamping:
         # who counts µs in 32 bits wraps here too
         whole_us, rest_ns = divmod(aircraft_ns, 1000)
         device_us = self.device_time.peek(whole_us, NEAR_US)
-        near_us = self._nearest(device_us, WRAP_US)  # Betaflight's TIMESYNC alone has 32 bits
+        near_us = self._nearest(device_us, SPAN)  # Betaflight's TIMESYNC alone has 32 bits
         if abs(near_us - self._anchor_us) < PAST_US:
             device_us = near_us
         device_ns = 1000 * device_us + rest_ns

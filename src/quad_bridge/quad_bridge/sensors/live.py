@@ -103,8 +103,8 @@ class LiveSensors:
         """Handle a restart of the STM32, which has removed another bias itself."""
         with self._lock:
             self._standing.clear()
-            self.rest, self._armed = None, False
-            self.words, self.warned = NOT_YET, False
+            self.rest = self._request = None
+            self._armed, self.words, self.warned = False, NOT_YET, False
             self._pending = Correction()
 
     # Called in the executor's thread.
