@@ -588,7 +588,8 @@ def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile
         12: 'is 12: with its bit 3 no climb is half throttle; set it to 4',
         None: 'GUID_OPTIONS is not read', 4: ''}),
     ('px4', 'COM_OBL_RC_ACT', {0: '', 7: None, None: None}),
-    ('ardupilot', 'GUID_TIMEOUT', {3.0: '', 5.0: None, None: None})])
+    ('ardupilot', 'GUID_TIMEOUT', {3.0: '', 5.0: None, None: None}),
+    ('ardupilot', 'SID_AXIS', {11.0: 'SID_AXIS is 11: set it to 0', 0.0: ''})])
 def test_the_check_shows_what_forbids_an_excitation_or_a_bridge_that_dies(
         flying, kind, name, values):
     line = flying(kind)
@@ -600,8 +601,8 @@ def test_the_check_shows_what_forbids_an_excitation_or_a_bridge_that_dies(
         screen = lines(report(line.aircraft, line.link, line.now_ns, ''))
         row = next(row for row in screen if name in row)
         assert row.startswith('  ok' if words == '' else '  --')
-        if name == 'GUID_OPTIONS':
-            line.segment()
+        if name in {'GUID_OPTIONS', 'SID_AXIS'}:
+            line.segment(**({'signal': 'chirp', **CHIRP} if name == 'SID_AXIS' else {}))
             refusal = line.connected.aircraft.cannot(Ability.EXCITE)
             assert words in refusal
             assert bool(words) == bool(refusal)
