@@ -106,3 +106,5 @@ def test_what_cannot_be_is_refused(model):
         propose_lqr(model(lag=0.1, delay=0.02))
     with pytest.raises(DesignRefusedError, match='lowers the rate'):
         propose_lqr(model(gain=-450.0))
+    with pytest.raises(DesignRefusedError, match='only the firmware of this project has a state'):
+        propose_lqr(dataclasses.replace(m, active_gains={**m.active_gains, 'roll.rate.kff': 0.0}))
