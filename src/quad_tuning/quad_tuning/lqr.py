@@ -82,10 +82,7 @@ class LqrProposal:
 
 
 def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal:
-    """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
-
-    The admission is the cascade's.
-    """
+    """An LQR for the angle of one axis; raises DesignRefusedError with the reason."""
     if not EVERY[model.axis].turns or of_other_firmware(model.active_gains, model.axis):
         raise DesignRefusedError(f'{model.axis}: only the firmware of this project has a state '
                                  'feedback (--method lqr), for roll, pitch and yaw; use '

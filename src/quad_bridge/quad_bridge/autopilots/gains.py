@@ -3,9 +3,8 @@
 PARAM_SET, read back, one after the other; what `GainProtocol` leaves to the STM32 is done here. An
 autopilot stores each parameter and never takes it back by itself, so the last good set is on the
 disk (`keep`) before the first write, is written back whole where a trial ends badly, and where the
-bridge begins and finds that a trial had not ended; not where a parameter has got a value since
-that is none of this trial. A parameter that somebody else writes during a trial ends it; a second
-one is left alone, and gains are refused from then on.
+bridge begins and finds that a trial had not ended, unless somebody has tuned it since. A parameter
+that somebody else writes in a trial ends it; a second stays, and gains are refused from then on.
 """
 
 from __future__ import annotations
@@ -180,10 +179,9 @@ class ParameterGains:
     def recall(self, record: object) -> None:
         """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
         self._recalled = True
-        if self._good or not isinstance(record, dict):
-            return
-        self._trial = tuple(_finite(record.get(key)) for key in ('good', 'before', 'tried'))
-        self._good = {n: v for n, v in self._trial[0].items() if n in self._table.written}
+        if not self._good and isinstance(record, dict):
+            self._trial = tuple(_finite(record.get(key)) for key in ('good', 'before', 'tried'))
+            self._good = {n: v for n, v in self._trial[0].items() if n in self._table.written}
 
     # The wire.
 

@@ -74,9 +74,8 @@ class GainEvent:
     by_stm32: bool = False  # the STM32 has reverted by itself
 
 
-LOST = GainEvent(What.LOST, reason=(
-    'which gains are in force is read once the STM32 answers again; without the bridge it takes '
-    'unconfirmed ones back by itself'))
+LOST = GainEvent(What.LOST, reason='which gains are in force is read once the STM32 answers again'
+                 '; it takes unconfirmed ones back by itself')
 
 
 class GainProtocol:

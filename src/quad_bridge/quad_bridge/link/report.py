@@ -103,7 +103,11 @@ class LinkReport:
         elif counts.frames == before.counts.frames and (why := _refused(counts, before.counts)):
             level, text = ERROR, why
         elif counts.frames == self._opened.frames:
-            level, text = self._no_frame(counts)
+            garbage = counts.bytes - self._opened.bytes
+            text = 'bytes arrive, no valid frame yet'
+            if garbage >= FOREIGN_BYTES:
+                level = ERROR
+                text = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
         elif self._link.cycles == before.cycles:
             level, text = self._no_cycle(round(1e9 * now_s))
         elif lost > 0:
@@ -116,12 +120,6 @@ class LinkReport:
         else:
             level = OK
         return level, text
-
-    def _no_frame(self, counts: Counts) -> tuple[int, str]:
-        garbage = counts.bytes - self._opened.bytes
-        if garbage < FOREIGN_BYTES:
-            return WARN, 'bytes arrive, no valid frame yet'
-        return ERROR, f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
 
     def _no_cycle(self, now_ns: int) -> tuple[int, str]:
         link, autopilot = self._link, self._link.autopilot
