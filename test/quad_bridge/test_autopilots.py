@@ -236,6 +236,25 @@ def test_a_bridge_that_was_killed_puts_the_last_good_set_back(flying, name, atte
         assert line.updates.state is State.IDLE
 
 
+@pytest.mark.parametrize(('name', 'step', 'factor'), [
+    ('px4', 2, 1.0), ('px4', 1, 1.1), ('ardupilot', 2, 1.1)])
+def test_what_somebody_has_tuned_since_a_bridge_was_killed_is_left_alone(
+        flying, name, step, factor):
+    line, p = flying(name), P[name]
+    values, other = line.controller.parameters, f'{p[:-1]}D'
+    before = values[p]
+    line.ask(roll_rate_kp=2.4 * line.updates.active['roll.rate.kp'])
+    line.fly(4.0 * step - 3.0)
+    assert values[p] == pytest.approx((1.9998 if step == 1 else 2.4) * before)
+    values[other] *= factor
+    left = dict(values)
+    line.connect(Link())
+    line.fly(4.0)
+    assert 'trial' not in line.kept()
+    assert (values == left) is (values[p] != before) is (factor != 1.0)
+    assert (f'gains: left as they are: {other} set' in line.updates.refused) is (factor != 1.0)
+
+
 def test_another_aircraft_on_the_port_gets_nothing_of_the_last_ones_trial(flying):
     line, p = flying('px4'), P['px4']
     first, before = line.controller, line.controller.parameters[p]
@@ -309,6 +328,7 @@ def test_what_flew_when_the_line_broke_goes_back_when_it_is_heard_again(flying, 
     lose(line, max(gap_s, 1.5), opened=opened)
     assert 'ATTITUDE_TARGET' in line.controller.streams
     assert told == [(True, sound[p])] * opened
+    assert 'gains: link lost: which gains are in force is read' in ' '.join(line.notes)
     assert line.controller.parameters == sound
     assert line.aircraft.at_rest
 
@@ -591,7 +611,8 @@ def test_system_id_is_not_entered_over_the_mode_that_the_pilot_chooses_meanwhile
         12: 'is 12: with its bit 3 no climb is half throttle; set it to 4',
         None: 'GUID_OPTIONS is not read', 4: ''}),
     ('px4', 'COM_OBL_RC_ACT', {0: '', 7: None, None: None}),
-    ('ardupilot', 'GUID_TIMEOUT', {3.0: '', 5.0: None, None: None})])
+    ('ardupilot', 'GUID_TIMEOUT', {3.0: '', 5.0: None, None: None}),
+    ('ardupilot', 'SID_AXIS', {11.0: 'SID_AXIS is 11: set it to 0', 0.0: ''})])
 def test_the_check_shows_what_forbids_an_excitation_or_a_bridge_that_dies(
         flying, kind, name, values):
     line = flying(kind)
@@ -603,8 +624,8 @@ def test_the_check_shows_what_forbids_an_excitation_or_a_bridge_that_dies(
         screen = lines(report(line.aircraft, line.link, line.now_ns, ''))
         row = next(row for row in screen if name in row)
         assert row.startswith('  ok' if words == '' else '  --')
-        if name == 'GUID_OPTIONS':
-            line.segment()
+        if name in {'GUID_OPTIONS', 'SID_AXIS'}:
+            line.segment(**({'signal': 'chirp', **CHIRP} if name == 'SID_AXIS' else {}))
             refusal = line.connected.aircraft.cannot(Ability.EXCITE)
             assert words in refusal
             assert bool(words) == bool(refusal)

@@ -143,6 +143,10 @@ def test_noise_is_no_answer_and_a_lost_receiver_ends_the_pulses():
         check.start(('roll',))
         check.step(replace(STILL, flags=int(flags)))
         assert check.running is runs
+    check.start(())
+    check.craft = LAYOUTS['plus']  # described late, and these pulses push motors of an X
+    check.step(replace(STILL, flags=int(f.Flag.ARMED)))
+    assert check.trouble == 'stopped: another craft has been described'
 
 
 def test_an_axis_counts_where_three_of_the_motors_moved_it():

@@ -232,8 +232,10 @@ class Walk:
 
     def restarts(self):
         self.faults -= 1
-        self.stm32 = self.stm32.restarted()
+        self.stm32, before = self.stm32.restarted(), self.gains.state
         self.gains.restarted()
+        if before in {*STOPPED_IN, State.REVERTING}:  # all that is known, whatever was in force
+            assert 'link lost: which gains are in force is read' in self.gains.refused
 
     def moves(self):
         armed, g = f.Flag.ARMED, self.gains

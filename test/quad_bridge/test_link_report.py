@@ -18,8 +18,8 @@ from quad_bridge.wire.signing import Signing
 OPEN = PortStatus(PortState.OPEN, '', 1, 0)
 
 
-def cycle(number, flags=1):
-    return Encoder().encode(replace(STILL, time_us=4000 * number, cycle=number, flags=flags))
+def cycle(number, flags=1, **more):
+    return Encoder(**more).encode(replace(STILL, time_us=4000 * number, cycle=number, flags=flags))
 
 
 def far_ahead():
@@ -44,6 +44,10 @@ STORIES = {
     'a broken clock': [
         (1.0, far_ahead(), OPEN, ERROR, 'signs with a time far ahead: set its clock'),
     ],
+    'a lost key': [
+        (1.0, cycle(1, signing=Signing(KEY, lambda: TODAY)), OPEN, OK, 'control cycles arrive'),
+        (2.0, cycle(2), OPEN, ERROR, 'the aircraft does not sign: give it the key'),
+    ],
     'lost cycles': [
         (1.0, cycle(1) + cycle(2), OPEN, OK, 'control cycles arrive'),
         (2.0, cycle(6), OPEN, WARN, LOST),
@@ -59,7 +63,8 @@ STORIES = {
 
 @pytest.mark.parametrize('story', STORIES.values(), ids=STORIES)
 def test_the_link_says_what_is_wrong_in_its_own_words(story):
-    link = Link(Signing(KEY, lambda: TODAY) if story is STORIES['a broken clock'] else None)
+    signs = story in (STORIES['a broken clock'], STORIES['a lost key'])
+    link = Link(Signing(KEY, lambda: TODAY) if signs else None)
     report = LinkReport(link, 0.0)
     for now_s, data, port, level, words in story:
         link.receive(data, 0)

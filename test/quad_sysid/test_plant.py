@@ -361,6 +361,9 @@ def test_what_a_loop_cannot_hold_is_named_and_refused_where_it_is_large():
     with pytest.raises(DesignRefusedError, match='36 % of the drive'):
         check_inside(model)
     check_inside(replace(model, ranges={}))
+    both = {**ranges, 'other rate 1': (-3.0, 3.0), 'other rate 2': (-3.0, 3.0)}
+    with pytest.raises(DesignRefusedError, match='27 % of the drive'):  # 13 % of each
+        check_inside(replace(model, ranges=both))
     leant = next(e for e in EFFECTS if type(e) is Memory and e.signal == 'other angle 1')
     remembers = estimated(leant, np.array([1.0, 4.5]), {'unit': 0.01, 'rest': 0.0})
     assert [*share_outside(replace(model, effects=(remembers,))).values()] == pytest.approx([0.4])

@@ -108,3 +108,5 @@ def test_what_cannot_be_is_refused(model):
         propose_lqr(model(gain=-450.0))
     with pytest.raises(DesignRefusedError, match='gains that flew are unstable'):
         propose_lqr(dataclasses.replace(m, active_gains={**m.active_gains, 'roll.rate.kp': 0.22}))
+    with pytest.raises(DesignRefusedError, match='only the firmware of this project has a state'):
+        propose_lqr(dataclasses.replace(m, active_gains={**m.active_gains, 'roll.rate.kff': 0.0}))

@@ -15,7 +15,7 @@ import numpy as np
 from quad_sysid.autopilot_table import AUTOPILOT, TABLES
 from quad_sysid.axes import EVERY
 from quad_sysid.loop.cascade import TUNED, CascadeGains, contract_names, of_other_firmware
-from quad_sysid.loop.from_model import not_in_the_loop, share_outside
+from quad_sysid.loop.from_model import share_outside
 from quad_sysid.model import AxisModel
 from quad_sysid.units import in_units_of
 from quad_tuning.errors import DesignRefusedError
@@ -145,7 +145,7 @@ LARGEST_RELATIVE_STD = {'gain': 0.2, 'lag': 0.4}
 """Largest relative standard error with which margins over draws are meaningful."""
 LARGEST_DELAY_STD_CYCLES = 1.5
 LARGEST_OUTSIDE = 0.25
-"""Largest acceleration of what the loop cannot hold, over the drive's."""
+"""Largest acceleration of all that the loop cannot hold, over the drive's."""
 MIN_THROTTLE_MARGIN = 0.05
 """Throttle that must be left on either side of the hover."""
 BAND_REACH = 2.0
@@ -224,14 +224,14 @@ def _uncertain(model: AxisModel) -> Iterator[str]:
 
 
 def check_inside(model: AxisModel) -> None:
-    """Refuse a model of which a large part cannot be in the loop of its axis."""
-    why = not_in_the_loop(model)
-    for name, share in share_outside(model).items():
-        if share > LARGEST_OUTSIDE:
-            raise DesignRefusedError(
-                f'{model.axis}: {name} pushes with up to {100 * share:.0f} % of the drive, and '
-                f'{why[name]}: no margin of this loop holds it; remove the cause, or tune by hand'
-            )
+    """Refuse a model of which a large part, the sum of all, cannot be in the loop of its axis."""
+    shares = share_outside(model)
+    if sum(shares.values()) > LARGEST_OUTSIDE:
+        raise DesignRefusedError(
+            f'{model.axis}: {" and ".join(shares)} may take {100 * sum(shares.values()):.0f} % of '
+            'the drive, by motion of the other axes: no margin of this loop holds that; remove '
+            'the cause, or tune by hand'
+        )
 
 
 def flown_gains(model: AxisModel) -> CascadeGains:

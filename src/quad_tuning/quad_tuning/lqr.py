@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from quad_sysid.axes import EVERY
 from quad_sysid.contract import AXES, FloatArray
-from quad_sysid.loop.cascade import CascadeGains
+from quad_sysid.loop.cascade import CascadeGains, of_other_firmware
 from quad_sysid.loop.linear import WIDE, loops_of
 from quad_sysid.loop.plant import Flying
 from quad_sysid.model import BEFORE, AxisModel
@@ -73,13 +73,11 @@ class LqrProposal:
 
 
 def propose_lqr(model: AxisModel, weights: Weights | None = None) -> LqrProposal:
-    """An LQR for the angle of one axis; raises DesignRefusedError with the reason.
-
-    The admission is the cascade's.
-    """
-    if not EVERY[model.axis].turns:
-        raise DesignRefusedError(f'{model.axis}: a state feedback (--method lqr) is for roll, '
-                                 'pitch and yaw; use --method pid')
+    """An LQR for the angle of one axis; raises DesignRefusedError with the reason."""
+    if not EVERY[model.axis].turns or of_other_firmware(model.active_gains, model.axis):
+        raise DesignRefusedError(f'{model.axis}: only the firmware of this project has a state '
+                                 'feedback (--method lqr), for roll, pitch and yaw; use '
+                                 '--method pid')
     check_model(model)
     check_inside(model)
     active = flown_gains(model)
@@ -164,10 +162,7 @@ def likeness(plant: Flying) -> tuple[float, float, float, float]:
 
 def feedback(plant: Flying, like: tuple[float, float, float, float], output_limit: float,
              factor: float, weights: Weights, noise: Noise) -> StateFeedback:
-    """The optimal feedback where the control's weight is `factor` times Bryson's.
-
-    like: as of `likeness`.
-    """
+    """The optimal feedback with `factor` times Bryson's weight of the control."""
     dt, (gain, lag, late, damping) = plant.dt, like
     bare = StateFeedback(
         k_angle=0.0, k_rate=0.0, k_drive=0.0, k_integral=0.0, gain=gain, lag_s=max(lag, 0.001),

@@ -37,7 +37,6 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
     fastest = max(rates_hz.values(), default=0.0)
     capacity = link.autopilot.budget / LINE_SHARE / 1000.0
     read, sticks = len(aircraft.gains.active), not flight.sticks_fault(1e-9 * now_ns)
-    known = {} if aircraft.system_id is None else aircraft.system_id.known
     return [
         (f'{kind.name} {version}, {craft}', bool(major),
          'it does not answer MAV_CMD_REQUEST_MESSAGE: is it older than 4.0?'),
@@ -59,7 +58,7 @@ def report(aircraft: AutopilotAircraft, link: Link, now_ns: int, craft: str) -> 
         ('attitude set-points are reported' if flight.target is not None
          else 'no ATTITUDE_TARGET', flight.target is not None,
          'without it the excitation is not measured, and none is flown'),
-        *kind.advice({**aircraft.gains.values, **known}, aircraft.number),
+        *kind.advice(aircraft.gains.values, aircraft.number),
     ]
 
 

@@ -3,8 +3,8 @@
 PARAM_SET, read back, one after the other; what `GainProtocol` leaves to the STM32 is done here. An
 autopilot stores each parameter and never takes it back by itself, so the last good set is on the
 disk (`keep`) before the first write, is written back whole where a trial ends badly, and where the
-bridge begins and finds that a trial had not ended. A parameter that somebody else writes during a
-trial ends it; a second one is left alone, and gains are refused from then on.
+bridge begins and finds that a trial had not ended, unless somebody has tuned it since. A parameter
+that somebody else writes in a trial ends it; a second stays, and gains are refused from then on.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ class State(Enum):
 
 
 AT_REST = (State.READY, State.ON_TRIAL)
+LOST = 'which gains are in force is read once it is heard again; then the good set is restored'
 ASKED = 'it is being asked which aircraft it is'  # and nothing is written to it meanwhile
 
 
@@ -72,7 +73,8 @@ class ParameterGains:
         self._kinds: dict[str, int] = {}
         self._requested: dict[str, tuple[int, float]] = {}
         self._good: dict[str, float] = {}  # of the trial that goes on, or has not ended
-        self._good_of = ''
+        self._trial: tuple[Mapping[str, float], ...] = ()
+        """Values of the good set, of before the last step, and of that step."""
         self._recalled = False  # whether the disk has said what it knows
         self._stored: bool | None = None
         self._queue: dict[str, float] = {}  # still to be written, with the value
@@ -92,6 +94,8 @@ class ParameterGains:
             return ASKED
         if self.state in AT_REST and not self._recalled:
             return "the aircraft's files are being read"
+        if self.state is State.READY and self._good:
+            return 'it is being read what an unfinished trial has left'
         if self.state is State.READY and not self.cycles_hz:  # at which a trial is watched
             return 'the rate of its attitudes is being measured'
         return '' if self.state in AT_REST else self.state.value
@@ -138,12 +142,13 @@ class ParameterGains:
             if not math.isfinite(value):
                 raise RefusedError(f'{name}: must be finite: found {value}')
         targets = {name: float32(value) for name, value in targets.items()}
+        before = {n: self.values[n] for n in self._table.written if n in self.values}
         if self.state is State.READY:
-            self._good = {n: self.values[n] for n in self._table.written if n in self.values}
-            self._good_of = self.aircraft
+            self._good = before
+        self._trial = self._good, before, targets
         self._whole = self._queue = targets
         self._go(State.SAVING)
-        self._keep({'trial': {'good': self._good, 'tried': targets}})
+        self._keep({'trial': {'good': self._good, 'before': before, 'tried': targets}})
 
     def confirm(self) -> None:
         """Keep the set on trial."""
@@ -161,7 +166,7 @@ class ParameterGains:
     def restart(self) -> None:
         """Read all parameters again; a running trial is then rolled back."""
         if self.state not in {State.READING, State.READY}:
-            self.events.append(GainEvent(What.LOST, reason='the link broke'))
+            self.events.append(GainEvent(What.LOST, reason=LOST))
         self.active, self.values, self._kinds, self._requested = {}, {}, {}, {}
         self._go(State.READING)
 
@@ -174,22 +179,16 @@ class ParameterGains:
     def recall(self, record: object) -> None:
         """Take what the disk knows of a trial of this aircraft that has not ended; {} for none."""
         self._recalled = True
-        stored = record.get('good') if isinstance(record, dict) else None
-        if not isinstance(stored, dict) or self._good:
-            return
-        self._good = {
-            str(name): float(value) for name, value in stored.items()
-            if name in self._table.written and isinstance(value, int | float)
-            and math.isfinite(value)
-        }
-        self._good_of = self.aircraft
-        if self.state is State.READY:
-            self._return_to_good()
+        if not self._good and isinstance(record, dict):
+            self._trial = tuple(_finite(record.get(key)) for key in ('good', 'before', 'tried'))
+            self._good = {n: v for n, v in self._trial[0].items() if n in self._table.written}
 
     # The wire.
 
     def poll(self, now_s: float) -> Request | None:
         """Say what to send now."""
+        if self.state is State.READY and self._good:
+            self._settle()
         if self.state is State.READING:
             return self._next_to_read(now_s)
         if self.state in {State.SAVING, State.CONFIRMING}:
@@ -197,8 +196,7 @@ class ParameterGains:
             return None
         if self.state in AT_REST:
             return self._look(now_s)
-        if self.state not in {State.WRITING, State.REVERTING} or now_s < self._due_s \
-                or not self.sure:
+        if now_s < self._due_s or not self.sure:
             return None
         if self._tries >= TRIES and self.state is State.WRITING:
             self._unanswered()
@@ -239,18 +237,17 @@ class ParameterGains:
         return (*self._table.names, *self._extra)
 
     def _open(self, name: str) -> bool:
-        return name not in self.values and self._requested.get(name, (0, 0.0))[0] <= TRIES
+        is_due = name in self._good or self._requested.get(name, (0, 0.0))[0] <= TRIES
+        return name not in self.values and is_due
 
     def _next_to_read(self, now_s: float) -> Request | None:
-        waiting = [name for name in self._watched() if self._open(name)][:AT_ONCE]
-        for name in waiting:
+        for name in [name for name in self._watched() if self._open(name)][:AT_ONCE]:
             tries, due_s = self._requested.get(name, (0, -math.inf))
             if now_s >= due_s:
                 self._requested[name] = tries + 1, now_s + REPEAT_S
-                if tries < TRIES:
+                if tries < TRIES or name in self._good:
                     return f.ParamRequestRead(name)
-        if not waiting:
-            self._read()
+        self._read()
         return None
 
     def _read(self) -> None:
@@ -259,11 +256,18 @@ class ParameterGains:
         if self.units(self.values) is None:
             return  # the craft is described by other parameters, which come as well
         self._prove(State.READY, What.READ)
-        if self._good and self._good_of in {'', self.aircraft}:
-            self._return_to_good()
 
-    def _return_to_good(self) -> None:
-        self._take_back(What.REVERTED, 'found a trial of an earlier bridge that had not ended')
+    def _settle(self) -> None:
+        """Go back from a trial that had not ended; not where somebody has tuned it since."""
+        if not self.sure or not self._good.keys() <= self.values.keys():
+            return
+        tuned = [n for n in self._good if all(self.values[n] != of.get(n) for of in self._trial)]
+        if tuned:
+            self._good = {}
+            self._take_back(What.LEFT, f'{", ".join(tuned)} set elsewhere since a trial that had '
+                            'not ended, so nothing was restored')
+        else:
+            self._take_back(What.REVERTED, 'found a trial of an earlier bridge that had not ended')
 
     # Writing.
 
@@ -286,14 +290,11 @@ class ParameterGains:
                 self._take_back(What.REVERTED, 'the disk does not take the confirmation')
         elif self._stored:
             self._go(State.WRITING)
-        elif any(self.values.get(name) != value for name, value in self._good.items()):
-            self._take_back(What.FAILED, 'the last good set cannot be kept on the disk, so the '
-                            'next step was not written')
         else:
-            self._good = {}
-            self._go(State.READY)
-            self.events.append(GainEvent(What.FAILED, reason='the last good set cannot be kept on '
-                                         'the disk, so nothing was written'))
+            steps = any(self.values.get(name) != value for name, value in self._good.items())
+            self._good = self._good if steps else {}
+            self._take_back(What.FAILED, 'the last good set cannot be kept on the disk, so '
+                            f'{"the next step" if steps else "nothing"} was not written')
 
     def _answered(self, name: str, value: float) -> None:
         """Take the value of a parameter that is still to be written."""
@@ -375,3 +376,9 @@ class ParameterGains:
 
     def _go(self, state: State) -> None:
         self.state, self._tries, self._reported, self._due_s = state, 0, None, -math.inf
+
+
+def _finite(stored: object) -> dict[str, float]:
+    """The numbers of an object from the disk."""
+    items = stored.items() if isinstance(stored, dict) else ()
+    return {n: float(v) for n, v in items if isinstance(v, int | float) and math.isfinite(v)}

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from quad_bridge.autopilots.system_id import LEFT_ON
 from quad_bridge.autopilots.table import (
     ARDUPILOT,
     OF_MOTORS,
@@ -129,6 +130,7 @@ def _ardupilot_advice(known: Values, version: tuple[int, int]) -> list[Advice]:
         (f'motors in the log (bit 17) {"yes" if bits & 1 << 17 else "no"}', True, ''),
         (f'SYSTEM ID {"is there" if has_sid else "is not answered"}', has_sid,
          'boards of 1 MB flash lack it from 4.5 on, and GUIDED_NOGPS too'),
+        *([_seen(known, '', 'SID_AXIS', lambda axis: not axis, LEFT_ON)] if has_sid else []),
         (f'FLTMODE_GCSBLOCK {blocked}', not blocked & 1 << 20,
          'clear bit 20: DO_SET_MODE may not enter SYSTEM ID'),
         _seen(known, '', 'GUID_OPTIONS', lambda bits: not int(bits) & 1 << GUID_THROTTLE,

@@ -24,7 +24,6 @@ MODE = 25
 MODES_BEFORE = {0: 'Stabilize', 1: 'Acro'}
 """Since 4.6 the axes of attitude, rate and mixer begin in a mode with manual throttle only."""
 FIRST_AXIS = {Injection.ATTITUDE: 1, Injection.RATE: 7, Injection.CONTROL: 10}
-DEGREES = {Injection.ATTITUDE: True, Injection.RATE: True, Injection.CONTROL: False}
 MOST = {Injection.ATTITUDE: 20.0, Injection.RATE: 200.0, Injection.CONTROL: 0.25}
 """Largest SID_MAGNITUDE, deg, deg/s and share of the command."""
 NAMES = ('SID_AXIS', 'SID_MAGNITUDE', 'SID_F_START_HZ', 'SID_F_STOP_HZ', 'SID_T_FADE_IN',
@@ -33,6 +32,7 @@ REPEAT_S, TRIES = 0.25, 8  # of a parameter: 2 s bridge the drop-outs of a telem
 ENTER_S = 3.0  # until the mode must be there
 DELAY_S = 1.0  # from the mode's entry until it injects
 SET_UP_S = 2.0  # for parameters and the mode; the segment of the schedule began before them
+LEFT_ON = 'set it to 0, and the other SID_* as you want them: a bridge that was killed leaves them'
 LEAST_S = 5.0  # of a sweep: a shorter one holds too little of its slow end
 
 
@@ -58,7 +58,8 @@ def sid_parameters(
     bad = [name for name, value in fields.items() if not value > 0.0 or not math.isfinite(value)]
     if bad:
         raise ValueError(f'a chirp for SYSTEM ID needs {", ".join(bad)}')
-    size = math.degrees(fields['amplitude']) if DEGREES[injection] else fields['amplitude']
+    is_share = injection is Injection.CONTROL
+    size = fields['amplitude'] if is_share else math.degrees(fields['amplitude'])
     if size > MOST[injection] * 1.001:
         raise ValueError(f'SID_MAGNITUDE must be at most {MOST[injection]:g}: found {size:.4g}')
     ramp_s = max(float(segment.get('ramp_s', 0.5)), 0.1)
@@ -108,6 +109,8 @@ class SystemId:
         if not all(name in self.known for name in NAMES):
             return ('SID_AXIS is not answered: boards of 1 MB have no SYSTEM ID from 4.5 on; '
                     'other signals than chirp are flown in GUIDED_NOGPS')
+        if self.known['SID_AXIS']:
+            return f'SID_AXIS is {self.known["SID_AXIS"]:g}: {LEFT_ON}'
         if version >= (4, 6) and self._flight.mode not in MODES_BEFORE:
             return f'SYSTEM ID is entered from {" or ".join(MODES_BEFORE.values())} only'
         return ''

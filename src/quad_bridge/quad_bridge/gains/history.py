@@ -147,18 +147,16 @@ class History:
 
     def keep_trial(self, record: Mapping[str, object], done: Callable[[bool], None]) -> None:
         """Replace what a trial of gains has to return to; `done` gets whether it is there."""
-        if not self._aircraft:
-            done(False)
-            return
-        path = self._folder / self._aircraft / f'{TRIAL}.json'
-        text = json.dumps({**record, 'time': now_text()}, indent=1, allow_nan=False) + '\n'
-        self._run(lambda: done(self._replace(path, text)))
+        self._keep(f'{TRIAL}.json', record, done)
 
-    def _keep(self, name: str, record: Mapping[str, Any]) -> None:
+    def _keep(self, name: str, record: Mapping[str, Any],
+              done: Callable[[bool], object] = bool) -> None:
         if self._aircraft:
             path = self._folder / self._aircraft / name
             text = json.dumps({**record, 'time': now_text()}, indent=1) + '\n'
-            self._run(lambda: self._replace(path, text))
+            self._run(lambda: done(self._replace(path, text)))
+        else:
+            done(False)
 
     def _append(self, path: Path, line: str) -> None:
         try:

@@ -61,7 +61,7 @@ class PulseRun:
 
     def __init__(self, names: Sequence[str], rate_hz: float, craft: Craft = X) -> None:
         self._remaining, self._level = list(names), 0
-        self._pulses = pulses_of(craft)
+        self.craft, self._pulses = craft, pulses_of(craft)
         self._rate_hz = rate_hz
         self._samples: list[Vector3] = []
         self._length = round((QUIET_S + 2 * HALF_S + REST_S) * rate_hz)
@@ -229,6 +229,8 @@ class PolarityCheck:
         refused = frame.flags & Flag.EXCITATION_REFUSED and self._cycles > GRACE_S * self.rate_hz
         if not frame.flags & Flag.ARMED or refused or frame.flags & Flag.RC_FAILSAFE:
             self.abort('stopped: disarmed, in failsafe, or the STM32 refuses the pulses')
+        if self._run is not None and self._run.craft != self.craft:
+            self.abort('stopped: another craft has been described')
         added, injection = NONE, Injection.NONE
         if self._run is not None:
             added, injection = self._run.step(flip_body(frame.gyro)), Injection.CONTROL

@@ -61,6 +61,7 @@ class What(Enum):
     CONFIRMED = 'confirmed'
     REVERTED = 'taken back'
     LOST = 'link lost'
+    LEFT = 'left as they are'
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,10 @@ class GainEvent:
     active: Mapping[str, float] | None = None
     reason: str = ''
     by_stm32: bool = False  # the STM32 has reverted by itself
+
+
+LOST = GainEvent(What.LOST, reason='which gains are in force is read once the STM32 answers again'
+                 '; it takes unconfirmed ones back by itself')
 
 
 class GainProtocol:
@@ -155,7 +160,7 @@ class GainProtocol:
     def restart(self) -> None:
         """Read everything again, after a restart or from another aircraft."""
         if self.state not in {State.READING, State.READY}:
-            self.events.append(GainEvent(What.LOST, reason='the link broke'))
+            self.events.append(LOST)
         self.reported, self._number = None, 0
         self._read_again()
 
@@ -220,10 +225,11 @@ class GainProtocol:
 
     def _compare(self, state: f.GainsState, now_s: float) -> None:
         """Compare the STM32's active checksum with the expected one."""
-        if self.state is State.READING:
-            if state.phase != f.GainsPhase.IDLE:
-                self._open_change(state)
-            elif not self._count:
+        if self.state in {State.READING, State.READY} and state.phase != f.GainsPhase.IDLE:
+            self._number = state.transaction
+            self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')
+        elif self.state is State.READING:
+            if not self._count:
                 self._due_s = -math.inf
             elif len(self._names) >= self._count:
                 self._checksum = checksum([self._values[name] for name in self._ordered()])
@@ -233,9 +239,7 @@ class GainProtocol:
                     self._forget()
                     self._due_s = now_s + READ_S
         elif self.state is State.READY:
-            if state.phase != f.GainsPhase.IDLE:
-                self._open_change(state)
-            elif state.checksum != self._checksum:
+            if state.checksum != self._checksum:
                 self._read_again()
         elif (
             self.state in {State.VERIFYING, State.ON_TRIAL, State.CONFIRMING}
@@ -243,11 +247,6 @@ class GainProtocol:
         ):
             outcome = What.FAILED if self.state is State.VERIFYING else What.REVERTED
             self._take_back(outcome, 'the STM32 has other gains in force')
-
-    def _open_change(self, state: f.GainsState) -> None:
-        """Handle an unconfirmed set or open copy of an earlier bridge."""
-        self._number = state.transaction
-        self._take_back(What.REVERTED, 'found unconfirmed gains of an earlier bridge')
 
     def _proven(self, state: State, what: What) -> None:
         names = [name for name in sorted(self._values) if name in CONTRACT_NAMES]
@@ -279,7 +278,8 @@ class GainProtocol:
             if self._late and idle and state.checksum == self._checksum:
                 self._confirmed(self._reason)
             else:
-                self._back_again()
+                self.events.append(GainEvent(self._outcome, reason=self._reason))
+                self._read_again()
         elif not is_ok and self.state is not State.CONFIRMING:
             words = f.GainsResult(state.result).name.lower().replace('_', ' ')
             self._take_back(What.FAILED, f'the STM32 refused the set: {words}')
@@ -302,7 +302,7 @@ class GainProtocol:
     def _unanswered(self) -> None:
         words = f'no answer to {TRIES} tries while {self.state.value}'
         if self.state in {State.CONFIRMING, State.REVERTING}:
-            self.events.append(GainEvent(What.LOST, reason='the STM32 does not answer'))
+            self.events.append(LOST)
             self._read_again()
         elif self._queue and self._reported is not None:
             name = self._queue[0]
@@ -325,10 +325,6 @@ class GainProtocol:
             return  # it has reverted no set of ours; its checksum will show
         words = result.name.lower().replace('_', ' ')
         self.events.append(GainEvent(What.REVERTED, reason=words, by_stm32=True))
-        self._read_again()
-
-    def _back_again(self) -> None:
-        self.events.append(GainEvent(self._outcome, reason=self._reason))
         self._read_again()
 
     def _go(self, state: State) -> None:

@@ -432,8 +432,8 @@ class GainUpdates:
                 self.watch.restart()
             self._in_force = dict(self.active)
             self._history.note_active(self.active)
-            while self._going_back and not self.protocol.busy:  # else they are on their way back
-                self._going_back.pop(0)(True, 'the gains of before are in force')
+            if not self.protocol.busy:  # else they are on their way back
+                self._answer('the gains of before are in force', done=True)
             text = f'{len(self.active)} gains and constants read back'
             self.notes.append(Note(text, active=self.active))
         elif event.what is What.COMMITTED:
@@ -447,10 +447,11 @@ class GainUpdates:
             self._fault(f'rolled back, {who}: {event.reason}')
         else:
             busy = self.state is not State.IDLE
-            lost = event.what is What.LOST
-            self._ended('link lost' if lost else 'not taken over', event.reason)
-            if busy:
-                self._fault(f'gains not taken over: {event.reason}')
+            self._ended(event.what.value, event.reason)
+            if busy or event.what is What.LEFT:
+                self._fault(f'gains: {event.what.value}: {event.reason}')
+            if event.what is What.LEFT:
+                self._answer(event.reason)
 
     def _confirmed(self, event: GainEvent) -> None:
         self._ended('confirmed', event.reason, flown=True)
@@ -458,8 +459,7 @@ class GainUpdates:
         self.refused = ''  # another may have been refused meanwhile
         self._flown = False  # as the next one's "before", which this flight may still give
         self.notes.append(Note(f'the new gains are confirmed: they flew well for {WATCH_S:g} s'))
-        while self._going_back:
-            self._going_back.pop(0)(False, 'the STM32 had confirmed the gains')
+        self._answer('the STM32 had confirmed the gains')
         if event.reason:
             self._fault(f'{event.reason}, but the STM32 had confirmed the gains')
 
@@ -491,7 +491,8 @@ class GainUpdates:
         self.commits += 1
         self._remaining_s = WATCH_S if last else STEP_WATCH_S
         self.state = State.WATCHING
-        self._log('active', self.active, step=step, steps=steps)
+        self._history.write('active', self.active, update.request, update=update.identity,
+                            step=step, steps=steps)
         text = f'step {step} of {steps} of {update.request.source} is in force'
         self.notes.append(Note(text, active=self.active))
         if last:
@@ -504,12 +505,16 @@ class GainUpdates:
         """Begin to take back what is on trial, which nobody will watch; answer whoever waits."""
         if self.state in ON_TRIAL:
             self._take_back(why)
-        while self._going_back:
-            self._going_back.pop(0)(False, why)
+        self._answer(why)
         if self._update is not None:
             self._update.tell(why)
 
     # The way back.
+
+    def _answer(self, words: str, *, done: bool = False) -> None:
+        """Answer those who wait for the earlier gains."""
+        while self._going_back:
+            self._going_back.pop(0)(done, words)
 
     def _take_back(self, reason: str) -> None:
         self.state = State.REVERTING
@@ -517,10 +522,11 @@ class GainUpdates:
         self.protocol.revert(reason)
 
     def _ended(self, outcome: str, reason: str = '', **more: object) -> None:
-        if self._update is not None:
+        if (update := self._update) is not None:
             figures = {k: round(v, 4) for k, v in self.watch.figures().items()}
-            self._log(outcome, None, reason=reason, figures=figures, **more)
-            self._update.tell(f'{outcome}: {reason}')
+            self._history.write(outcome, None, update.request, update=update.identity,
+                                reason=reason, figures=figures, **more)
+            update.tell(f'{outcome}: {reason}')
         if self.state is State.CHECKING:
             self.polarity.abort(f'stopped: {reason}')
             self._end_check()
@@ -531,11 +537,6 @@ class GainUpdates:
         self.refused = text
         if not self.notes or self.notes[-1].text != text:  # repeats are reported once
             self.notes.append(Note(text, fault=True))
-
-    def _log(self, state: str, active: Mapping[str, float] | None = None, **more: object) -> None:
-        update = self._update
-        if update is not None:
-            self._history.write(state, active, update.request, update=update.identity, **more)
 
     # Polarity.
 

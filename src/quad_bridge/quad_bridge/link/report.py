@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from quad_bridge.link.autopilot import Autopilot
 from quad_bridge.link.machine import Link
 from quad_bridge.link.port import PortState, PortStatus
 from quad_bridge.status import ERROR, OK, WARN, Status
@@ -33,7 +32,7 @@ _UNHEARD = {
     'replayed': 'only old frames arrive: a replay, or an aircraft whose clock lags behind ours',
     'old_version': 'speaks MAVLink 1: set it to MAVLink 2 (SERIALn_PROTOCOL, MAV_PROTO_VER)',
 }
-"""Counts since the port was opened, and the reason if no frame is accepted."""
+"""Counts since the last report, and the reason if no frame was accepted since."""
 
 
 class _Before(NamedTuple):
@@ -101,8 +100,14 @@ class LinkReport:
             level, text = ERROR, f'port {port.state.value}'
         elif counts.bytes == before.counts.bytes:
             level, text = ERROR, 'port open, but nothing arrives'
+        elif counts.frames == before.counts.frames and (why := _refused(counts, before.counts)):
+            level, text = ERROR, why
         elif counts.frames == self._opened.frames:
-            level, text = self._no_frame(counts)
+            garbage = counts.bytes - self._opened.bytes
+            text = 'bytes arrive, no valid frame yet'
+            if garbage >= FOREIGN_BYTES:
+                level = ERROR
+                text = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
         elif self._link.cycles == before.cycles:
             level, text = self._no_cycle(round(1e9 * now_s))
         elif lost > 0:
@@ -115,16 +120,6 @@ class LinkReport:
         else:
             level = OK
         return level, text
-
-    def _no_frame(self, counts: Counts) -> tuple[int, str]:
-        for name, words in _UNHEARD.items():
-            if getattr(counts, name) > getattr(self._opened, name):
-                return ERROR, words
-        garbage = counts.bytes - self._opened.bytes
-        if garbage < FOREIGN_BYTES:
-            return WARN, 'bytes arrive, no valid frame yet'
-        words = f'speaks another protocol or baud rate: no valid frame in {garbage} bytes'
-        return ERROR, words
 
     def _no_cycle(self, now_ns: int) -> tuple[int, str]:
         link, autopilot = self._link, self._link.autopilot
@@ -139,14 +134,16 @@ class LinkReport:
             words.append('its rates are exactly zero while the angles move: marked unknown')
         slow = autopilot.slow_ones(now_ns)
         if slow:
-            words.append(f'{", ".join(slow)} rarer than asked for: {_why_slow(autopilot, slow)}')
+            why = ('another program on the line lowers them again' if autopilot.lowered & set(slow)
+                   else 'the line is too slow, or the autopilot gives no more')
+            words.append(f'{", ".join(slow)} rarer than asked for: {why}')
         return WARN, '; '.join(words)
 
 
-def _why_slow(autopilot: Autopilot, slow: list[str]) -> str:
-    if autopilot.lowered & set(slow):
-        return 'another program on the line lowers them again'
-    return 'the line is too slow, or the autopilot gives no more'
+def _refused(counts: Counts, before: Counts) -> str:
+    """Why frames that have come since were not accepted; empty where none came."""
+    return next((words for name, words in _UNHEARD.items()
+                 if getattr(counts, name) > getattr(before, name)), '')
 
 
 def clock_status(link: Link, behind_ns: int, *, unset: bool, now_s: float) -> Status:

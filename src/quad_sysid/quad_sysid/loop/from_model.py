@@ -272,7 +272,7 @@ def share_outside(model: AxisModel) -> dict[str, float]:
         if acceleration is None:
             acceleration = gain * acting.effect.command(s, acting.p, acting.part.settings)
         share = float(np.abs(acceleration).max() / (gain * command))
-        out[effect.name] = max(share, out.get(effect.name, 0.0))
+        out[effect.name] = share + out.get(effect.name, 0.0)
     return out
 
 
