@@ -13,29 +13,28 @@ DT = 0.004
 STILL = np.zeros(3)
 
 
-class Gusts:
-    """Coloured torque of 1.5 rad/s^2 and pushes of twice that, from `begin_s` on."""
+INERTIA = np.array([0.0135, 0.0140, 0.008])
 
-    def __init__(self, seed, begin_s):
-        self.rng, self.begin_s, self.state = np.random.default_rng(seed), begin_s, np.zeros(3)
+
+class Gusts:
+    """Coloured torque of 1.5 rad/s^2 and pushes of twice that."""
+
+    def __init__(self):
+        self.rng, self.state = np.random.default_rng(1), np.zeros(3)
 
     def __call__(self, t_s, *_):
         self.state += -0.002 * self.state + 0.063 * self.rng.normal(size=3)
         push = 2.0 * (t_s % 4.0 > 3.0)
-        inertia = np.array([0.0135, 0.0140, 0.008])
-        return 1.5 * inertia * (self.state + push) * (t_s >= self.begin_s)
+        return 1.5 * INERTIA * (self.state + push)
 
 
-@pytest.mark.parametrize(('seed', 'begin_s', 'mount'), [(1, 0.0, 'hover'), (2, 4.0, 'rig')])
-def test_good_gains_are_confirmed_in_gusts_and_with_sticks(bench, seed, begin_s, mount):
-    rng = np.random.default_rng(seed)
-    names = ('roll', 'pitch') if mount == 'hover' else ('roll',)
+def test_good_gains_are_confirmed_in_gusts_and_with_sticks(bench):
+    rng = np.random.default_rng(1)
     sticks = [
-        Event(2.0 + 0.7 * k, str(rng.choice(names)), float(rng.uniform(-0.6, 0.6)))
+        Event(2.0 + 0.7 * k, str(rng.choice(('roll', 'pitch'))), float(rng.uniform(-0.6, 0.6)))
         for k in range(20)
     ]
-    profile = 'hover' if mount == 'hover' else 'plain'
-    made = bench(effect=Gusts(seed, begin_s), events=sticks, mount=mount, profile=profile)
+    made = bench(effect=Gusts(), events=sticks, mount='hover', profile='hover')
     made.fly(1.0)
     made.ask(roll_angle_kp=5.5, roll_rate_kp=0.085, pitch_angle_kp=5.5, pitch_rate_kp=0.085)
     made.fly_until('confirmed', seconds=12.0)
@@ -51,8 +50,8 @@ def fed(watch, seconds, size, omega, rate_hz=250.0):
     return None
 
 
-@pytest.mark.parametrize('rate_hz', [50.0, 250.0, 1000.0])
-@pytest.mark.parametrize('omega', [6.0, 12.0, 25.0, 50.0])
+@pytest.mark.parametrize(('omega', 'rate_hz'), [
+    (6.0, 250.0), (12.0, 250.0), (25.0, 250.0), (50.0, 50.0), (50.0, 250.0), (50.0, 1000.0)])
 def test_a_new_oscillation_is_heard_and_named_at_every_rate_of_the_loop(omega, rate_hz):
     watch = GainWatch(rate_hz)
     assert fed(watch, 5.0, 0.05, omega, rate_hz=rate_hz) is None

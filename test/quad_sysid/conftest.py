@@ -6,7 +6,7 @@ import math
 import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,8 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
     def answer(
         flight: Record, effects: Sequence[Effect] = EFFECTS, designer: Designer | None = None
     ) -> AxisAnswer:
-        asked = pickle.dumps((flight, [e.label for e in effects],
+        # fields alone: a craft that was used before holds what was computed of it too
+        asked = pickle.dumps((astuple(flight), [e.label for e in effects],
                               getattr(designer, '__qualname__', '')))
         file = folder / hashlib.sha256(asked).hexdigest()
         with file.with_suffix('.lock').open('w') as lock:
