@@ -96,8 +96,8 @@ class Nursery:
 
 def serve(line: socket.socket) -> dict[str, Any]:
     """Fork as asked for. Returns in the new process, with what it is to be; ends with the line."""
-    for number in (signal.SIGINT, signal.SIGHUP):  # a terminal's are for who started it
-        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's are for who started it
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
         data, given, *_ = socket.recv_fds(line, MOST, 4)
