@@ -103,6 +103,7 @@ def test_no_gains_come_of_a_model_whose_data_forbid_them(stored, refused, method
     [
         ('{model} --axis pitch', 3, 'lowers the rate'),
         ('{model} --axis pitch --method lqr', 3, 'lowers the rate'),
+        ('{model} --axis roll,yaw', 2, 'axes: lacks yaw; it holds'),
         ('none.json', 2, 'none.json'), ('', 2, 'MODEL.json'),
         ('{model} --method lqr --max-angle -1', 2, 'must be a positive number'),
         ('{model} --method lqr --max-control 5', 2, 'is a share of the range, at most 1'),
