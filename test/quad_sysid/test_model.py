@@ -16,6 +16,7 @@ from quad_sysid.discover.screen import candidates, screen
 from quad_sysid.discover.search import Scored, SearchResult, extended, search
 from quad_sysid.effects import EFFECTS
 from quad_sysid.effects.events import PeriodicDelay, SampleAndHold
+from quad_sysid.estimate import stored
 from quad_sysid.estimate.fit import Fit, Problem, Tail, fit, slowness
 from quad_sysid.estimate.stored import noise_of, readings
 from quad_sysid.explain import explain
@@ -89,6 +90,18 @@ def test_a_measured_position_is_what_is_fitted_where_the_speed_was_derived():
         assert base[name].std < 0.15 * truth
     noise = savgol_filter(seen - flight.angles[:, 0], 11, 3, deriv=1, delta=flight.dt)
     assert verdict.noise_floor == pytest.approx(np.std(noise), rel=0.25)
+
+
+def test_what_is_vague_of_one_motor_is_not_of_another(monkeypatch):
+    structure = Structure(tuple(Part(e) for e in EFFECTS if e.label[:-1] == 'motor_lag/motor '
+                                and e.label[-1] in '12'))
+    theta, sizes = np.full(len(structure.specs), math.log(0.1)), np.full(len(structure.specs), 0.1)
+    sizes[6] = 5.0
+    monkeypatch.setattr(stored, 'shift_by_form', lambda *_: np.zeros(theta.size))
+    problem = SimpleNamespace(data=SimpleNamespace(dt=0.004), zero_terms=[])
+    fitted = SimpleNamespace(structure=structure, theta=theta, values=structure.natural(theta))
+    (known,), (vague,) = readings(problem, fitted, np.diag(sizes**2)).effects
+    assert (known.std, vague.std) == (pytest.approx(0.01), None)
 
 
 def test_friction_is_found_where_the_rate_carries_no_noise():

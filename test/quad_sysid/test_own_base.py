@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown_axis import LONGER, SHORT, Axis, fly
+from flown_axis import LONGER, SHORT, Axis, fly, model_of
 
 import quad_sysid as qs
+from quad_sysid.estimate.stored import estimate_of
 from quad_sysid.model.effect import Signals
+from quad_sysid.own_base import BUILT_IN_TERMS
 
 DT = 0.004
 STICKING = Axis(torque=lambda _t, rate, _a: -6.0 * math.tanh(rate / 0.005))
@@ -115,21 +117,20 @@ def test_nothing_is_added_where_nothing_is_missing(answer):
     assert found.errors['after'] < 4.0 * found.errors['noise_floor']
 
 
-def test_a_hidden_state_of_a_step_is_followed(answer):
+def test_a_step_is_flown_as_it_stands_with_its_hidden_state():
     def step(x, u, p, dt):
-        keep = math.exp(-dt / p['lag'])
-        drive = p['gain'] * u['u'] + (x['drive'] - p['gain'] * u['u']) * keep
-        return {'drive': drive, 'rate': x['rate'] + dt * 0.5 * (drive + x['drive'])}
+        drive = u['u'] + (x['drive'] - u['u']) * math.exp(-dt / p['lag'])
+        return {'drive': drive, 'rate': 0.9 * x['rate'] + dt * 0.5 * (drive + x['drive'])}
 
-    motor = qs.Base('motor', ('rate', 'drive'), keep=('delay', 'damping', 'bias'), step=step,
-                    parameters=(qs.Quantity('gain', 'rad/s² per V', 20.0),
-                                qs.Quantity('lag', 's', 0.03)))
-    given = arrays(Axis())
-    given = {**given, 'u': given['u'][:4000], 'y': given['y'][:4000]}
-    found = answer(motor, (), **given)
-    assert found.verdict == 'not_searched'
-    assert found.model.parameters['motor.lag'].value == pytest.approx(0.042, rel=0.08)
-    assert found.model.parameters['motor.gain'].value == pytest.approx(22.5, rel=0.04)
+    motor = qs.Base('motor', ('rate', 'drive'), (qs.Quantity('lag', 's', 0.03),), step=step)
+    model = model_of(gyro_filter_hz=None, **dict.fromkeys(BUILT_IN_TERMS, 0.0),
+                     **{'motor.lag': 0.03})
+    u, expected, x = np.repeat([0.3, -0.2, 0.1], 20), [], {'rate': 0.0, 'drive': 0.0}
+    for one in u:
+        expected.append(x['rate'])
+        x = step(x, {'u': one}, {'lag': 0.03}, DT)
+    run = qs.simulate(replace(model, own_effects=(motor.law(),)), u)
+    np.testing.assert_allclose(run, expected, atol=2e-3 * np.ptp(expected))
 
 
 def test_a_law_may_use_the_methods_of_arrays_on_its_hidden_states():
@@ -195,5 +196,12 @@ def test_an_experiment_stays_within_its_limits_and_tells_more(true_model, refusa
     for name, now in design.std_now.items():
         if now is not None:
             assert design.std_expected[name] <= now * (1.0 + 1e-9)
+    throttled = estimate_of('thrust_curve', (0.3,), settings={'throttle': 0.5})
+    twice = [estimate_of('step_event', (1.0, size), of) for of, size in (('torque', 2.0),
+                                                                         ('gain', -0.2))]
+    expected = qs.design_experiment(replace(model, effects=(throttled, *twice)), amplitude=0.05,
+                                    seconds=3.0).std_expected
+    assert expected['thrust_curve.curvature'] > 1e3  # which constant throttle does not tell
+    assert expected['step_event.change'] < 0.05
     for wrong in ({'amplitude': 0.0}, {'amplitude': 1.0, 'criterion': 'C'}):
         refusal(qs.design_experiment, model, **wrong)

@@ -1,10 +1,15 @@
 """What `import quad_sysid` offers: the names that the field expects, loaded when used."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from node_process import python
+from scipy.signal import savgol_filter
 
 import quad_sysid
+from quad_sysid.estimate.stored import estimate_of
+from quad_sysid.record import GainChange
 
 NAMES = (
     'read_bag', 'Record', 'IOData', 'arx', 'armax', 'oe', 'bj', 'iv4', 'clriv', 'greybox',
@@ -83,6 +88,8 @@ def test_a_flight_to_a_result_in_one_call(plain_flight, refusal):
     found = quad_sysid.evaluate(result.model, plain_flight)
     z = plain_flight.axis('roll', 'train')
     model = quad_sysid.bj(z, 2, 2, 2, 2, 3)
+    grey = quad_sysid.greybox(z, gyro_filter_hz=42.0)  # whose form is in the errors
+    np.testing.assert_array_equal(grey.std, [p.std for p in grey.base])
     for value, words in (
         (plain_flight, 'train: prbs on roll'), (z, 'at 250 Hz in 1 segments'),
         (model, '  D = +1 '), (quad_sysid.residual_test(z, model), 'white: yes, p = '),
@@ -109,3 +116,27 @@ def test_a_model_runs_freely_from_the_rate_that_it_is_given(true_model):
     assert turning[0] == pytest.approx(1.0)
     assert turning[-1] - model.simulate(still)[-1] == pytest.approx(
         np.exp(-model.value('damping') * 499 * model.dt), rel=1e-3)
+
+
+def test_predictions_are_of_the_rate_where_only_the_angle_was_measured(true_model, plain_flight):
+    seen = plain_flight.angles + 1e-3 * np.random.default_rng(0).standard_normal((
+        plain_flight.n, 3))
+    derived = replace(plain_flight, angles=seen, rates=savgol_filter(
+        seen, 11, 3, deriv=1, delta=plain_flight.dt, axis=0),
+        gains=(GainChange(0.0, {'sensor.rate_from_angle_s': 0.02}),))
+    model = quad_sysid.Identified(**vars(true_model))
+    assert np.nanstd(model.predict(derived) - model.predict(derived, np.int64(2))) < 0.12
+
+
+def test_an_axis_alone_flies_by_its_motors_at_the_usual_voltage(true_model, plain_flight, refusal):
+    flight, z = replace(plain_flight, segments=()), plain_flight.axis('roll')
+    limited, sagging = models = [
+        quad_sysid.Identified(**vars(replace(true_model, effects=(one,)))) for one in (
+            estimate_of('saturation', (0.52,), 'upper'),
+            estimate_of('battery_sag', (1.0,), settings={'reference_v': 12.4}))]
+    (a, b), (c, d) = ([model.predict(one, 9) for model in models] for one in (flight, z))
+    np.testing.assert_allclose([a, b], [c, d], atol=1e-9)
+    assert np.nanstd(c - d) > 0.03
+    assert 'needs /battery' in refusal(sagging.predict, replace(flight, battery_v=None))
+    short = quad_sysid.IOData(z.u[:10], z.y[:10], z.dt)
+    assert np.isfinite(limited.predict(short)).all()

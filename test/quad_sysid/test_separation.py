@@ -101,7 +101,8 @@ def test_every_row_is_a_schedule_that_the_node_can_fly(springs):
         assert sum(part.duration_s for part in train) == pytest.approx(SECONDS, abs=0.2)
         assert train[-1].signal == row.excitation.part.signal
         assert train[-1].amplitude == pytest.approx(row.excitation.part.amplitude, rel=1e-4)
-        assert 'validation' in [part.role for part in schedule.parts]
+        like = [part for part in schedule.parts if part.role == 'validation'][-1]
+        assert (like.signal, like.parameters) != (train[-1].signal, train[-1].parameters)
         assert schedule.mount == 'rig'
     moved = replace(springs.best.excitation, others_move=True)  # by sticks, which a rig forbids
     rows = (replace(springs.best, excitation=moved), *springs.rows)

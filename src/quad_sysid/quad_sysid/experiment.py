@@ -8,7 +8,7 @@ distinguished by `separate`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,10 +21,14 @@ from quad_sysid.estimate.fit import Problem
 from quad_sysid.estimate.stored import completed, plant_of
 from quad_sysid.identified import Identified
 from quad_sysid.loop.from_model import usual_signals
+from quad_sysid.loop.plant import Flying
+from quad_sysid.loop.simulation import simulate_cascade
 from quad_sysid.model.effect import SMALL, Signals
+from quad_sysid.pipeline.evaluate import NO_GAINS
 from quad_sysid.record import IOData
 from quad_sysid.result import model_of
 from quad_sysid.signals import waveform
+from quad_sysid.units import Units
 
 CANDIDATES: Mapping[str, tuple[str, Mapping[str, float]]] = {
     **{f'prbs, clock {clock:g} s': ('prbs', {'clock_s': clock, 'register_bits': 9})
@@ -56,7 +60,7 @@ class Experiment:
     std_now: Mapping[str, float | None]
     """Standard error of each parameter in the model, in its unit; None where it has none."""
     std_expected: Mapping[str, float]
-    """Standard error of each parameter with this experiment added to the data, in its unit."""
+    """With this experiment added to the data, in its unit; huge where neither tells it."""
     largest_rate: float
     """Largest |rate|, in its unit."""
     largest_angle: float
@@ -95,9 +99,8 @@ def design_experiment(
             raise BadInputError('design_experiment', f'{name} must be positive', limit)
     if criterion not in CRITERIA:
         raise BadInputError('design_experiment', 'criterion must be D or A', repr(criterion))
-    units, n = target.units, round(seconds / target.dt)
-    per_u, per_y, per_angle = (1.0, 1.0, 1.0) if units is None else (
-        abs(units.per_command), abs(units.per_rate), abs(units.per_motion))
+    units, n = target.units or Units(), round(seconds / target.dt)
+    per_u, per_y, per_angle = map(abs, (units.per_command, units.per_rate, units.per_motion))
     names, shapes = [], []
     for name, (signal, parameters) in CANDIDATES.items():
         wave = waveform(signal, parameters, 'design_experiment')
@@ -109,8 +112,8 @@ def design_experiment(
     commands, rates, angles = _within(target, amplitude * per_u * np.array(shapes), rate * per_y,
                                       angle * per_angle)
     every = _values(target)
-    active = [i for i, (value, std) in enumerate(every.values()) if abs(value) > NEGLIGIBLE or std]
-    present = {name: every[name] for i, name in enumerate(every) if i in active}
+    active = [i for i, (_, value, std) in enumerate(every) if abs(value) > NEGLIGIBLE or std]
+    present = [every[i] for i in active]
     scores = []
     for i, name in enumerate(names):
         progress(name)
@@ -122,33 +125,35 @@ def design_experiment(
                                   'limits; widen them or take longer')
     by_score = sorted(scores, key=lambda entry: -entry[0])
     _, best, information = by_score[0]
-    covariance = np.linalg.pinv(np.array(_with_present(information, present), dtype=np.float64))
-    expected = dict(zip(present, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+    sizes, values, vectors = _in_all(information, present)
+    expected = sizes * np.sqrt(vectors**2 @ (1.0 / values))
     sign = 1.0 if criterion == 'D' else -1.0
     scales = {name: abs(target.in_units(replace(p, value=1.0, std=None, interval=None)).value)
               for name, p in target._named}  # noqa: SLF001 - of the same object
-    zero = 0.0 if units is None else units.zero_command
     return Experiment(
         name=names[best], amplitude=float(np.abs(commands[best]).max()) / per_u, dt=target.dt,
-        u=(commands[best] - zero) / (1.0 if units is None else units.per_command),
+        u=units.command_in(commands[best]),
         std_now={name: None if std is None else scales.get(name, 1.0) * std
-                 for name, (_, std) in present.items()},
+                 for name, _, std in present},
         std_expected={name: scales.get(name, 1.0) * float(value)
-                      for name, value in expected.items()},
+                      for (name, *_), value in zip(present, expected, strict=True)},
         largest_rate=float(np.abs(rates[best]).max()) / per_y,
         largest_angle=float(np.abs(angles[best]).max()) / per_angle,
         ranking=tuple((f'{names[i]}, amplitude {np.abs(commands[i]).max() / per_u:.3g}',
                        sign * score) for score, i, _ in by_score))
 
 
-def _values(model: Identified) -> dict[str, tuple[float, float | None]]:
-    """Value and standard error of each parameter as the fit takes it, by its name."""
+Known = tuple[str, float, float | None]
+"""Name of a parameter as the fit takes it, its value and standard error."""
+
+
+def _values(model: Identified) -> list[Known]:
     fitted = completed(model)
     structure = fitted.structure
     count = len(structure.names) - len(structure.noise)
     stored = {name: p.std for name, p in model._named}  # noqa: SLF001 - of the same object
-    return {name: (float(value), stored.get(name)) for name, value in zip(
-        structure.names[:count], structure.natural(fitted.theta), strict=False)}
+    return [(name, float(value), stored.get(name)) for name, value in zip(
+        structure.names[:count], structure.natural(fitted.theta), strict=False)]
 
 
 def _within(model: Identified, commands: FloatArray, rate: float,
@@ -177,34 +182,26 @@ def _within(model: Identified, commands: FloatArray, rate: float,
 
 def _flown(model: Identified, commands: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(w, n) measured rates and angles for commands (w, n) from rest, all side by side."""
-    usual, plant, (count, n) = usual_signals(model), plant_of(model), commands.shape
-
-    def around(k: int) -> Signals:
-        return plant.with_motors(Signals.at_rest(
-            np.full(count, model.dt * (k + 0.5)), np.full(count, usual['throttle']),
-            battery_v=np.full(count, usual['battery']), sent=commands[:, max(k, 0)] * (k >= 0)))
-
-    x = plant.begin(around(-1), np.zeros(count), np.zeros(count))
-    rates, angles = np.empty((count, n)), np.empty((count, n))
-    for k in range(n):
-        rate, angle = plant.measured(x)
-        rates[:, k], angles[:, k] = rate, 0.0 if angle is None else angle
-        x = plant.step(x, around(k))
-    return rates, angles
+    usual, n = usual_signals(model), commands.shape[1]
+    around = Signals.at_rest(model.dt * (np.arange(n) + 0.5), np.full(n, usual['throttle']),
+                             battery_v=np.full(n, usual['battery']))
+    run = simulate_cascade(Flying(plant_of(model), around, steady=False), NO_GAINS, np.zeros(n),
+                           model.dt, control_excitation=commands)
+    return run.rate, run.angle
 
 
 def _information(model: Identified, command: FloatArray, rate: FloatArray,
                  angle: FloatArray) -> FloatArray:
     """(p, p) of the parameters in their units, from the derivatives of the innovations."""
-    fitted, units = completed(model), model.units
+    fitted, units = completed(model), model.units or Units()
     structure, theta = fitted.structure, fitted.theta
     count = theta.size - len(structure.noise)
     if not command.any():
         return np.zeros((count, count))
-    u, y = (command, rate) if units is None else (
-        (command - units.zero_command) / units.per_command, units.rate_in(rate))
-    data, spans = model._data_of(IOData(u, y, model.dt))  # noqa: SLF001 - of the same object
-    problem = Problem(replace(data, angle=angle), spans)
+    z = IOData(units.command_in(command), units.rate_in(rate), model.dt)
+    data, spans = model._data_of(z)  # noqa: SLF001 - of the same object
+    still = np.zeros((rate.size, 2))
+    problem = Problem(replace(data, angle=angle, other_rates=still, other_angles=still), spans)
     logs = np.array([spec.log for spec in structure.specs])
     steps = SMALL * np.where(logs, 1.0, np.maximum(np.abs(theta), LEAST))
     prediction = problem.flight.predict(structure, theta, sweeps=2, steps=steps)
@@ -215,21 +212,22 @@ def _information(model: Identified, command: FloatArray, rate: FloatArray,
     return np.asarray(rows.T @ rows * fitted.tail.information / fitted.tail.scale**2)
 
 
-def _with_present(information: FloatArray,
-                  parameters: Mapping[str, tuple[float, float | None]]) -> FloatArray:
-    """The information with that of the data so far."""
-    present = [0.0 if not std else std**-2.0 for _, std in parameters.values()]
-    return information + np.diag(present)
+def _in_all(information: FloatArray, parameters: Sequence[Known]) -> tuple[FloatArray, ...]:
+    """Sizes (p,) of the parameters; (p,) and (p, p) eigenvalues and -vectors in units of these.
+
+    Of the information with that of the data so far; what neither holds has next to none.
+    """
+    sizes = np.array([abs(value) or std or 1.0 for _, value, std in parameters])
+    present = np.diag([0.0 if not std else std**-2.0 for _, _, std in parameters])
+    values, vectors = np.linalg.eigh((information + present) * np.outer(sizes, sizes))
+    return sizes, np.maximum(values, 1e-12), vectors
 
 
-def _score(information: FloatArray, parameters: Mapping[str, tuple[float, float | None]],
-           criterion: str) -> float:
+def _score(information: FloatArray, parameters: Sequence[Known], criterion: str) -> float:
     """What a candidate brings, the more the better; minus infinity for nothing."""
     if not information.any() or not np.isfinite(information).all():
         return -math.inf
-    sizes = np.array([abs(value) or std or 1.0 for value, std in parameters.values()])
-    scaled = _with_present(information, parameters) * np.outer(sizes, sizes)
-    values = np.linalg.eigvalsh(scaled)
+    values = _in_all(information, parameters)[1]
     if criterion == 'D':
-        return 0.5 * float(np.sum(np.log(np.maximum(values, 1e-12))))
-    return -math.sqrt(float(np.mean(1.0 / np.maximum(values, 1e-12))))
+        return 0.5 * float(np.sum(np.log(values)))
+    return -math.sqrt(float(np.mean(1.0 / values)))

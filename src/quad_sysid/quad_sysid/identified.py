@@ -71,9 +71,7 @@ class Identified(AxisModel):
         unseen, fitted, spans = self._filtered(flight)
         data = unseen.problem.data
         rate = np.full(data.rate.size, np.nan)
-        if horizon == 1:
-            rate = data.rate - unseen.predict(fitted).innovation
-        elif horizon == math.inf:
+        if horizon == math.inf:
             settle = round(SETTLE_S / data.dt)
             for start, stop in spans:
                 if stop - start > settle + 1:
@@ -81,10 +79,11 @@ class Identified(AxisModel):
                     inside = slice(start + settle, stop)
                     rate[inside] = data.rate[inside] + unseen.errors(fitted, windows)[0]
                     unseen.ran.clear()
-        elif isinstance(horizon, int) and horizon > 1:
-            starts = np.concatenate([np.arange(a, b - horizon + 1) for a, b in spans])
-            errors = unseen.errors(fitted, Windows(starts, horizon))
-            rate[starts + horizon - 1] = data.rate[starts + horizon - 1] + errors[:, -1]
+        elif isinstance(horizon, int | float | np.number) and horizon >= 1 and horizon % 1 == 0:
+            ahead = int(horizon) - 1
+            starts = np.concatenate([np.arange(a, b - ahead) for a, b in spans])
+            errors = unseen.errors(fitted, Windows(starts, ahead + 1))
+            rate[starts + ahead] = data.rate[starts + ahead] + errors[:, -1]
         else:
             raise BadInputError('predict', 'horizon must be an integer >= 1 or math.inf', horizon)
         return (self.units or Units()).rate_in(rate)
@@ -93,8 +92,7 @@ class Identified(AxisModel):
         """Fit on a flight in per cent, 100 (1 - ||y - ŷ|| / ||y - mean y||); see `predict`."""
         from quad_sysid.blackbox import fit_percent
 
-        unseen, _, _ = self._filtered(flight)
-        measured = (self.units or Units()).rate_in(unseen.problem.data.rate)
+        measured = (self.units or Units()).rate_in(self._data_of(flight)[0].rate)
         return fit_percent(measured, self.predict(flight, horizon))
 
     def residuals(self, flight: Record | IOData | str | Path) -> ResidualTest:
@@ -113,7 +111,6 @@ class Identified(AxisModel):
         the Nyquist frequency. Raises BadInputError where w is not within it.
         """
         from quad_sysid.loop.from_model import response_of
-        from quad_sysid.loop.linear import NEAR_REST
 
         nyquist = np.pi / self.dt
         grid = np.geomspace(0.1, 0.999 * nyquist, 200) if w is None else \
@@ -122,7 +119,7 @@ class Identified(AxisModel):
             raise BadInputError('bode', f'w must be (m,) within 0..{nyquist:.6g} rad/s')
         units = self.units or Units()
         scale = units.per_command / units.per_rate
-        si = response_of(self, grid, NEAR_REST)
+        si = response_of(self, grid, EVERY[self.axis].trial.near_rest)
         return replace(si, response=scale * si.response, covariance=None
                        if si.covariance is None else scale**2 * si.covariance)
 
@@ -194,16 +191,18 @@ class Identified(AxisModel):
         """The flight behind the model's filter, the model, and the spans that count."""
         from quad_sysid.discover.accept import Unseen
         from quad_sysid.estimate.stored import completed
-        from quad_sysid.pipeline.evaluate import of_this_flight
+        from quad_sysid.pipeline.evaluate import check_signals, of_this_flight
 
         data, spans = self._data_of(flight)
         if not spans:
             raise BadInputError('flight', 'has no sample with both rate and command')
-        unseen = Unseen(data, spans)
-        return unseen, of_this_flight(unseen, completed(self)), spans
+        unseen, model = Unseen(data, spans), completed(self)
+        check_signals('flight', unseen, model, self.craft)
+        return unseen, of_this_flight(unseen, model), spans
 
     def _data_of(self, flight: Record | IOData | str | Path,
                  ) -> tuple[AxisData, tuple[tuple[int, int], ...]]:
+        from quad_sysid.loop.from_model import usual_signals
         from quad_sysid.model.data import axis_alone
         from quad_sysid.pipeline.evaluate import flight_of, flown_spans
         from quad_sysid.pipeline.usable import same_rate
@@ -224,8 +223,10 @@ class Identified(AxisModel):
         units = self.units or Units()
         u, y = units.command_of(np.nan_to_num(flight.u)), units.rate_of(flight.y)
         spans = tuple((int(a), int(b)) for a, b in flight.segments)
-        data = axis_alone(u, y, self.dt, spans, self.gyro_filter_hz)
+        data, usual = axis_alone(u, y, self.dt, spans, self.gyro_filter_hz), usual_signals(self)
         control = np.zeros((y.size, 4))
-        control[:, 0] = self.mean_throttle or 0.0
+        control[:, 0] = usual['throttle']
         control[:, 1 + EVERY[self.axis].index] = u
-        return replace(data, axis=self.axis, control=control), spans
+        return replace(data, axis=self.axis, control=control, craft=self.craft,
+                       motors=self.craft.commands(control),
+                       battery_v=np.full(y.size, usual['battery'])), spans

@@ -133,11 +133,20 @@ class Base:
         return tuple(s for s in self.states if s not in (self.output, self.position))
 
     def moved(self, x: Values, u: Values, p: Values, dt: float) -> dict[str, Any]:
-        """The derivative of each state, per s; of a `step`, its mean over the cycle."""
+        """The derivative of each state, per s; of a `step`, its mean over the cycle.
+
+        Output and position are those at mid-cycle, while a step begins at the start.
+        """
         if self.rhs is not None:
             return dict(self.rhs(x, u, p))
-        later = required(self.step)(x, u, p, dt)
-        return {name: (value - x[name]) / dt for name, value in later.items()}
+        start, half = dict(x), 0.5 * dt
+        if self.position:
+            start[self.position] = x[self.position] - half * x[self.output]
+        for _ in range(3):  # to what the rate at mid-cycle says of that at the start
+            later = required(self.step)(start, u, p, dt)
+            slope = {name: (value - start[name]) / dt for name, value in later.items()}
+            start[self.output] = x[self.output] - half * slope[self.output]
+        return slope
 
 
 class _Law(Effect):

@@ -97,9 +97,9 @@ def rotors_of(record: Record, *, training: bool = False) -> Rotors:
         return Rotors(rotors, tuple(_remarks(record, rotors, is_finite)), None, math.inf)
     middle = float(np.median(lags[:, 0]))
     differ = 1.4826 * float(np.median(np.abs(lags[:, 0] - middle)))
-    delay = float(np.median(lags[:, 1]))
+    error = float(np.median(lags[:, 1]))
     return Rotors(rotors, tuple(_remarks(record, rotors, is_finite)), math.exp(middle),
-                  math.hypot(delay, differ, FORM))
+                  math.hypot(error, differ, FORM))
 
 
 def _rotor(u: FloatArray, w: FloatArray, is_known: np.ndarray, dt: float) -> Rotor | None:

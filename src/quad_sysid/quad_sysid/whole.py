@@ -202,12 +202,12 @@ def _hover(records: Sequence[Record]) -> list[Fact]:
     is_finite = np.isfinite(volts)
     x, y = np.log(volts[is_finite]), np.log(throttle[is_finite])
     if is_finite.sum() >= MIN_SAMPLES and np.ptp(x) > FELL:
-        slope, _ = np.polyfit(x, y, 1)
-        residual = y - np.polyval(np.polyfit(x, y, 1), x)
-        spread = float(np.std(residual) / (np.std(x) * math.sqrt(max(1, x.size - 2))))
-        out.append(Fact('battery_exponent', -float(slope), '1',
+        from scipy.stats import linregress  # slow to import
+
+        line = linregress(x, y)
+        out.append(Fact('battery_exponent', -float(line.slope), '1',
                         'thrust follows this power of the voltage, by the throttle of the hover',
-                        spread))
+                        float(line.stderr)))
     return out
 
 

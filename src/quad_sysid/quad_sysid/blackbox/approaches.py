@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd
 
 from quad_sysid.blackbox.arx import arx
 from quad_sysid.blackbox.filters import filter_columns, filter_lags, filter_signal, pulses
@@ -189,7 +190,7 @@ def cascade_controller(*, angle_kp: float, rate_kp: float, rate_ki: float, rate_
     characteristic = np.convolve(np.convolve(forward, angle + step), slow)
     return LinearController(P=np.convolve(np.convolve(common, step), slow),
                             R=angle_kp * np.convolve(np.convolve(forward, step), slow),
-                            S=_sum(characteristic, derivative))
+                            S=polyadd(characteristic, derivative))
 
 
 def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
@@ -256,7 +257,7 @@ def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatAr
 
     Their sum of squares is inf where the loop is not stable or no segment is long enough.
     """
-    loop = _sum(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
+    loop = polyadd(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
     if loop[0] != 1.0 or np.max(np.abs(np.roots(loop)), initial=0.0) >= 1.0:
         return point_of(model, [], [])
     nb, nf, states, unit = model.B.size - model.nk, model.F.size - 1, loop.size - 1, np.ones(1)
@@ -280,9 +281,3 @@ def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatAr
         errors.append(residual[:, 0])
         gradients.append(residual[:, 1:])
     return point_of(model, errors, gradients)
-
-
-def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Sum of two polynomials in q⁻¹."""
-    size = max(a.size, b.size)
-    return np.pad(a, (0, size - a.size)) + np.pad(b, (0, size - b.size))

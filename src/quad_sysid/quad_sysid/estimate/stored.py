@@ -85,23 +85,26 @@ def readings(problem: Problem, fitted: Fit, raw: FloatArray | None = None) -> Re
     ], axis=1)
     joint = jacobian @ raw @ jacobian.T
     form = jacobian @ shift_by_form(problem, fitted)
-    vague: dict[str, tuple[float, float] | None] = {}
-    for name, spec, coordinate, value, deviation in zip(
-        structure.names, structure.specs, theta, fitted.values, deviations, strict=True
+    # two effects may have one name, as two motors that lag
+    owners = np.repeat(range(len(groups)), [len(structure.base), *(
+        len(part.effect.parameters) for part in structure.parts)])
+    vague: dict[tuple[int, str], tuple[float, float] | None] = {}
+    for owner, name, spec, coordinate, value, deviation in zip(
+        owners, structure.names, structure.specs, theta, fitted.values, deviations, strict=False
     ):  # what is at its bound or not determined: from nothing to where it may reach, 95 %
         if spec.log and (deviation > VAGUE or (spec.unit == 's' and value < LEAST_LAG * dt)):
             most = float(np.exp(min(coordinate + 1.645 * deviation, 40.0)))
-            vague[name] = (0.0, most) if most < NO_BOUND else None
+            vague[owner, name] = (0.0, most) if most < NO_BOUND else None
         elif spec.positive and value <= 0.0:
-            vague[name] = None
-    for i, name in enumerate(names):
-        if name in vague or i in problem.zero_terms or not joint[i, i] > 0.0:
+            vague[owner, name] = None
+    for i, key in enumerate((k, name) for k, group in enumerate(groups) for name, *_ in group):
+        if key in vague or i in problem.zero_terms or not joint[i, i] > 0.0:
             joint[i, :] = joint[:, i] = np.nan
     errors = iter(np.sqrt(np.diag(joint) + form**2))  # from one group on to the next
     base, *effects = (
         tuple(
             Parameter(name if i == 0 else name.rpartition('.')[2], value,
-                      float(std) if np.isfinite(std) else None, unit, vague.get(name))
+                      float(std) if np.isfinite(std) else None, unit, vague.get((i, name)))
             for (name, value, unit), std in zip(group, errors, strict=False)
         ) for i, group in enumerate(groups)
     )

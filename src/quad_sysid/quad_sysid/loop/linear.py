@@ -26,7 +26,7 @@ from quad_sysid.model.plant import flat, unflat
 from quad_sysid.model.structure import Structure
 
 ComplexArray = npt.NDArray[np.complex128]
-WIDE, NEAR_REST = TURNING.wide, TURNING.near_rest
+WIDE = TURNING.wide
 """Amplitudes of rate (rad/s), angle (rad) and command at which a loop is linearised."""
 STILL: Level = (2e-7, 2e-8, 1e-8)
 """Next to none: the slope at rest."""

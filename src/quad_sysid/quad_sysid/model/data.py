@@ -468,6 +468,6 @@ def high(x: FloatArray) -> float:
 def typical_acceleration(data: AxisData, spans: Sequence[Span]) -> float:
     """Scatter of the acceleration within these spans, rad/s²; 1 where nothing moves."""
     reach = max(1, round(SLOPE_S / data.dt))
-    inside = [data.rate[a:b] for a, b in spans if b - a > 4 * reach]
+    inside = [data.rate[a:b] for a, b in spans if b - a > 4 * reach] or [np.zeros(4 * reach)]
     change = np.concatenate([x[2 * reach :] - x[: -2 * reach] for x in inside])
     return float(np.std(change)) / (2 * reach * data.dt) or 1.0

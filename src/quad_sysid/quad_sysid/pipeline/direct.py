@@ -36,7 +36,7 @@ class GreyBox(Identified):
     @property
     def std(self) -> FloatArray:
         """(5,) standard errors in the order of `parameter_names`, NaN where there is none."""
-        return np.asarray(np.sqrt(np.diag(np.asarray(self.covariance))))
+        return np.array([p.std for p in self.base], dtype=float)
 
 
 def greybox(z: IOData, *, gyro_filter_hz: float | None = None) -> GreyBox:

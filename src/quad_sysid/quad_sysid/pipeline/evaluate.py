@@ -105,7 +105,7 @@ def evaluate(model: AxisModel, record: Record, spans_s: tuple[tuple[float, float
             f'rad/s in half a second{noise}); is the axis held, or the aircraft at rest?'
         )
     before, after = stored.plain(model), stored.completed(model)
-    _check_signals(record, unseen, after, model.craft)
+    check_signals(record.source, unseen, after, model.craft)
     after = of_this_flight(unseen, after)
     base = {p.name: p.value for p in model.plain or model.base}
     blackbox_data = blackbox_part.about_base(
@@ -159,20 +159,19 @@ def flight_of(model: AxisModel, record: Record) -> tuple[Record, AxisData]:
                            gyro_filters_hz=data.gyro_filters_hz if cut_off else None)
 
 
-def _check_signals(record: Record, unseen: Unseen, model: Stored, craft: Craft) -> None:
-    """Raise BadInputError where an effect needs a signal that the bag lacks."""
+def check_signals(source: str, unseen: Unseen, model: Stored, craft: Craft) -> None:
+    """Raise BadInputError where an effect needs a signal that the flight lacks."""
     data = unseen.problem.data
     has_signal = {'other angle': data.other_angles is not None, 'angle': data.angle is not None,
                   'battery': data.battery_v is not None,
                   'other rate': unseen.problem.flight.others is not None,
-                  'motors': bool(data.motors.shape[1]) and same_craft(record.craft, craft)}
+                  'motors': bool(data.motors.shape[1]) and same_craft(data.craft, craft)}
     for part, _ in model.structure.placed:
         for signal in part.effect.signals:
             need = next((n for n in NEEDS if n in signal), '')
             if need and not has_signal[need]:
-                raise BadInputError(record.source,
-                                    f'{part.effect.name} of the model needs {NEEDS[need]}', None,
-                                    'evaluate on a bag that holds it')
+                raise BadInputError(source, f'{part.effect.name} of the model needs {NEEDS[need]}',
+                                    None, 'evaluate on a bag that holds it')
 
 
 def of_this_flight(unseen: Unseen, model: Stored) -> Stored:
