@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "check.h"
 #include "esc.h"
 #include "hmc5883.h"
 #include "mpu6050.h"
@@ -12,17 +13,6 @@
 
 #define PI 3.141592653589793
 #define BYTE_US 22.5 /* nine bits at 400 kHz */
-
-static int failures, checks;
-
-static void check(bool holds, const char *what)
-{
-    checks++;
-    if (!holds) {
-        failures++;
-        printf("not so: %s\n", what);
-    }
-}
 
 static bool near(double a, double b, double within)
 {
@@ -470,6 +460,5 @@ int main(void)
     check(esc_pulse_us(0, 1000, 2000) == 1000 && esc_pulse_us(1, 1000, 2000) == 2000, "ESC");
     check(esc_pulse_us(0.5f, 1000, 1900) == 1450 && esc_pulse_us(-1, 1100, 1900) == 1100, "its own range");
     check(esc_pulse_us(NAN, 1000, 2000) == 1000 && esc_pulse_us(9, 1000, 2000) == 2000, "limits");
-    printf("%d checks, %d failed\n", checks, failures);
-    return failures > 0;
+    return checked();
 }

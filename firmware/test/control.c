@@ -1,9 +1,9 @@
 /* The control law on records in memory: what is held back where the motors cannot give it, airmode, notches; the
  * attitude of what is turned over; the height mode on a point mass, with the barometer lost in the midst. */
 #include <math.h>
-#include <stdio.h>
 #include <string.h>
 
+#include "check.h"
 #include "quad_attitude.h"
 #include "quad_control.h"
 #include "quad_height.h"
@@ -11,17 +11,6 @@
 
 #define PERIOD_S 0.004f
 #define SAMPLE_S 0.001f
-
-static int failures, checks;
-
-static void check(bool holds, const char *what)
-{
-    checks++;
-    if (!holds) {
-        failures++;
-        printf("not so: %s\n", what);
-    }
-}
 
 static float gains[QUAD_PARAMETERS];
 static quad_control control;
@@ -229,6 +218,5 @@ int main(void)
     test_turned_over();
     test_height();
     test_height_from_any_throttle();
-    printf("%d checks, %d failed\n", checks, failures);
-    return failures > 0;
+    return checked();
 }

@@ -1,22 +1,11 @@
 /* Receivers on a serial line: golden frames, flags, and frames under damage and noise; pulses under the same.
  *     serial_radio [bytes]    of noise and damaged frames for each kind, an edge of a pulse counted as one */
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "check.h"
 #include "serial_radio.h"
-
-static int failures;
-static long checks;
-
-static void check(bool holds, const char *what)
-{
-    checks++;
-    if (!holds && failures++ < 20) {
-        printf("not so: %s\n", what);
-    }
-}
 
 static const uint32_t byte_us[] = {120, 24, 87}, gap_us[] = {6000, 4000, 5000};
 static uint64_t now_us = 1000000;
@@ -271,6 +260,5 @@ int main(int count, char **arguments)
     test_pulses(false, bytes);
     test_sbus_flags();
     test_crsf_link();
-    printf("%ld checks, %d failed\n", checks, failures);
-    return failures > 0;
+    return checked();
 }
