@@ -172,28 +172,21 @@ def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4
     assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
-def test_damaged_numbers_that_cannot_be_are_left_out(flight, px4):
-    def damage(topics):
+def test_of_a_log_with_a_reboot_and_damaged_numbers_what_was_flown_before_is_read(flight, px4):
+    def harm(topics):
         topics['actuator_motors']['control'][700, 1] = 1e30
         topics['vehicle_angular_velocity']['xyz'][800, 2] = -1e20
-
-    record, notes = px4({}, damage)
-    assert '1 of 1500 actuator_motors.control left out: no controller commands so much' in notes
-    assert '1 of 1500 vehicle_angular_velocity.xyz left out: no gyro' in notes
-    np.testing.assert_array_equal(record.control[700], record.control[699])
-    assert np.flatnonzero(np.isnan(record.rates[:, 0])).tolist() == [800]
-
-
-def test_of_a_px4_log_with_a_reboot_in_it_the_flight_before_it_is_read(flight, px4):
-    def twice(topics):
         for columns in topics.values():
             for name, values in columns.items():
-                columns[name] = np.concatenate([values, values[:: 1 if name == 'timestamp' else -1]])
+                again = values if name == 'timestamp' else values[::-1]
+                columns[name] = np.concatenate([values, again])
 
-    record, notes = px4({}, twice)
+    record, notes = px4({}, harm)
     assert 'begins anew 1 times' in notes
-    assert record.n == N
-    check_motion(record, flight)
+    assert '1 of 1500 actuator_motors.control left out: no controller commands so much' in notes
+    assert '1 of 1500 vehicle_angular_velocity.xyz left out: no gyro' in notes
+    assert np.flatnonzero(np.isnan(record.rates[:, 0])).tolist() == [800]
+    np.testing.assert_allclose(record.control, flight.control, atol=2e-3)
 
 
 def ardupilot_messages(flight: Flight) -> dict:

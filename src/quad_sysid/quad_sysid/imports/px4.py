@@ -168,8 +168,7 @@ def _load(path: Path) -> Table:
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
     }
-    notes = [f'its clock begins anew {anew} times, as after a reboot: of the flights only the first '
-             'is read'] * bool(anew)
+    notes = [f'its clock begins anew {anew} times: what was logged before is read'] * bool(anew)
     if log.file_corruption:
         notes.append('parts of the log are damaged and left out: copy it again')
     elif _cut(path.read_bytes()):
@@ -184,8 +183,8 @@ def _load(path: Path) -> Table:
 
 def _to_reboot(columns: dict[str, FloatArray], times: dict[str, FloatArray]) -> int:
     """Cut what was logged where its clock begins anew; how often it does."""
-    anew = max(len(restarts({name: np.arange(stamps.size)}, {name: stamps}))
-               for name, stamps in times.items())
+    anew = max((len(restarts({name: np.arange(stamps.size)}, {name: stamps}))
+                for name, stamps in times.items()), default=0)
     for name, stamps in times.items() if anew else ():
         steps_back = np.flatnonzero(np.diff(stamps) < -RESTART_S)
         rows = slice(int(steps_back[0]) + 1 if steps_back.size else None)
