@@ -160,6 +160,7 @@ def test_cycles_lie_where_their_stamps_say_and_lost_ones_are_gaps(case):
     assert grid.n == pytest.approx(n, abs=n == 1201)
     assert grid.n - len(grid.cells) == pytest.approx(lost, abs=n == 1201)
     assert words in '\n'.join(grid.warnings)
+    assert 'long gap' not in case or 'jitter' not in '\n'.join(grid.warnings)
     assert np.all(np.diff(grid.cells) > 0)
     assert np.all(np.diff(stamps[grid.rows]) > 0)
 
@@ -386,6 +387,9 @@ def test_a_cut_off_mcap_gives_what_is_whole(tmp_path, compression):
         np.testing.assert_array_equal(got.rates, want.rates[: got.n])
         assert 'cut off' in ' '.join(got.warnings)
     assert previous > 0.6 * want.n
+    shutil.copy(cut, bag / 'bag.mcap')  # of which metadata.yaml says how much there was
+    os.utime(bag / 'bag.mcap', (0.0, 0.0))
+    assert 'of 18126 messages are missing' in ' '.join(read_bag(bag).warnings)
     end = whole.rindex(b'\x0f\x04' + bytes(7))  # of the data: the last chunk goes, its end stays
     cut.write_bytes(whole[: end - 20_000] + whole[end:])
     assert 'bytes are damaged' in ' '.join(read_bag(cut).warnings)
@@ -477,6 +481,9 @@ def test_each_file_of_a_split_bag_holds_what_is_in_force(tmp_path):
         assert (alone.segments[0].role, alone.segments[0].parameters) == (
             running.role, running.parameters)
         assert 'split bag' not in ' '.join(alone.warnings)
+    (split.path / 'metadata.yaml').unlink()
+    (split.path / 'split_1.mcap').unlink()
+    assert 'part 1 of the bag is missing' in ' '.join(read_bag(split.path).warnings)
     bare = write_imu(tmp_path / 'bare', regular())  # as other recorders split
     for name, is_told in (('flight_1', True), ('flight_0', False), ('flight_20250101', False)):
         file = shutil.copy(bare / 'bare.mcap', tmp_path / f'{name}.mcap')

@@ -172,6 +172,23 @@ def test_px4_torque_and_thrust_stand_for_motors_that_were_not_logged(flight, px4
     assert record.gains_at(0.0) == {'sensor.gyro_filter_hz': 40.0}
 
 
+def test_of_a_log_with_a_reboot_and_damaged_numbers_what_was_flown_before_is_read(flight, px4):
+    def harm(topics):
+        topics['actuator_motors']['control'][700, 1] = 1e30
+        topics['vehicle_angular_velocity']['xyz'][800, 2] = -1e20
+        for columns in topics.values():
+            for name, values in columns.items():
+                again = values if name == 'timestamp' else values[::-1]
+                columns[name] = np.concatenate([values, again])
+
+    record, notes = px4({}, harm)
+    assert 'begins anew 1 times' in notes
+    assert '1 of 1500 actuator_motors.control left out: no controller commands so much' in notes
+    assert '1 of 1500 vehicle_angular_velocity.xyz left out: no gyro' in notes
+    assert np.flatnonzero(np.isnan(record.rates[:, 0])).tolist() == [800]
+    np.testing.assert_allclose(record.control, flight.control, atol=2e-3)
+
+
 def ardupilot_messages(flight: Flight) -> dict:
     stamps = 3_000_000 + DT_US * np.arange(N)
     pulses = [1000.0 + 1000.0 * flight.thrusts[place] for place in PX4]
@@ -493,7 +510,10 @@ def test_encoded_blackbox_files_hold_several_logs(flight, tmp_path, printed, ref
         main, 'look', tmp_path / 'bag', '--log', 2)
     assert f'quad-sysid import {path} --out' in printed(main, 'import', path)
     assert 'commands that never change' in refused(main, 'import', path, '--out', tmp_path / 'b')
-    path.write_bytes(encoded(columns, header).replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
+    whole = encoded(columns, header)
+    path.write_bytes(whole.replace(b'Field I predictor', b'Field I pr\1dictor'))
+    assert 'in its header: copy it again' in refused(main, 'inspect', path)
+    path.write_bytes(whole.replace(b'\xffEnd of log\0', b'\xff\1End of log\0'))
     assert main(['import', str(path), '--out', str(tmp_path / 'inav')]) == 0  # as INAV ends a log
     assert '--log: the file holds one log: found 2; leave it out' in refused(
         main, 'import', path, '--log', 2, '--out', tmp_path / 'b')

@@ -182,6 +182,18 @@ def test_a_mat_file_comes_back_as_flown(tmp_path, monkeypatch, printed):
     check(read_bag(tmp_path / 'log_bag'), FLIGHT['rates'], FLIGHT['motors'] @ MIX[:, 1:] / 4.0)
 
 
+@pytest.mark.parametrize('cell', [9961.0, -0.7])
+def test_one_damaged_cell_says_no_unit_and_its_line_is_named(tmp_path, printed, cell):
+    torques = FLIGHT['motors'] @ MIX[:, 1:] / 4.0
+    torques[1498, 2] = cell
+    (tmp_path / 'log.csv').write_text(text_of({**some('t', *RATES), **{
+        f'torque_{axis}': u for axis, u in zip(ANGLES, torques.T, strict=True)}}))
+    said = ' '.join(printed(main, 'import', tmp_path / 'log.csv').split())
+    assert '--unit' not in said
+    assert 'line 1500, column torque_yaw' in said
+    assert 'mend the row or leave it out' in said
+
+
 @pytest.mark.parametrize(('first', 'words'), [
     (b'PK\x03\x04', 'is an archive (.zip, .xlsx, …); unpack it'),
     (b'MATLAB 7.3 MAT-file', 'save it again with -v7'), (b'\x89HDF\r\n\x1a\n', 'is HDF5'),

@@ -6,10 +6,9 @@ It reads everything that `recover` can recover. No arrays here.
 from __future__ import annotations
 
 import mmap
-import re
 import sqlite3
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import repeat
@@ -27,6 +26,7 @@ from quad_bridge.log.stored.files import (
     ORPHANS,
     ZSTD_MAGIC,
     address,
+    missing_parts,
     plain_file,
     plain_message,
     recording_state,
@@ -123,16 +123,6 @@ def storage_files(bag: Path) -> list[Path]:
     if not files:
         raise BadInputError(str(bag), 'holds no .mcap or .db3 file', remedy='check the path')
     return files
-
-
-def missing_parts(files: Sequence[Path]) -> list[str]:
-    """A line for each missing part of a split bag, by the recorder's numbers."""
-    stems = [file.name.partition('.')[0] for file in files]
-    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
-    if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
-        return []
-    absent = sorted(set(range(max(numbers))) - set(numbers))
-    return [f'part {number} of the bag is missing' for number in absent]
 
 
 def messages_of(

@@ -18,8 +18,8 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from quad_bridge.arguments import OneLineParser, ended_in_one_line, say
 from quad_bridge.errors import BadInputError
-from quad_bridge.log.reader import messages_of, missing_parts, storage_files
-from quad_bridge.log.stored.files import PACKED, RECORDING, recording_state
+from quad_bridge.log.reader import messages_of, storage_files
+from quad_bridge.log.stored.files import PACKED, RECORDING, missing_parts, recording_state
 from quad_bridge.log.stored.records import Topic
 from quad_bridge.log.stored.scan import McapScan, Message
 from quad_bridge.log.writer import BagWriter, Definition

@@ -52,6 +52,8 @@ class Storage:
     """`custom_data` of metadata.yaml."""
     others: dict[str, str] = field(default_factory=dict)
     """Topics of the files that are not wanted, with their types."""
+    _counts: dict[str, int] = field(default_factory=dict)
+    """Messages of each file by metadata.yaml."""
     _growing: Path | None = None
     """The file that a recorder still writes."""
 
@@ -94,6 +96,7 @@ class Storage:
             names = ', '.join(p.name for p in files)
             self._unlisted(files, f'metadata.yaml is missing or unreadable (the recorder was '
                            f'killed?): read {names} as it is')
+            self.warnings += [f'{path}: {part}' for part in stored.missing_parts(files)]
             return files
         absent = [name for name in listed if not (path / name).exists()]
         if absent:
@@ -130,6 +133,8 @@ class Storage:
             content = yaml.safe_load(file.read_text(encoding='utf-8'))
             information = content['rosbag2_bagfile_information']
             names = [Path(str(name)).name for name in information['relative_file_paths']]
+            self._counts = {Path(str(file['path'])).name: int(file['message_count'])
+                            for file in information.get('files') or ()}
             custom = information.get('custom_data') or {}
             self.notes.update({str(key): str(value) for key, value in custom.items()})
         except (OSError, ValueError, RecursionError, yaml.YAMLError, LookupError, TypeError,
@@ -176,6 +181,9 @@ class Storage:
         if not (scan.ended or scan.returned or scan.others or scan.unnamed):
             raise BadInputError(str(source), 'is cut off before its first whole message',
                                 remedy='nothing can be recovered: record again')
+        if scan.stated is None and source != self._growing:
+            scan.stated = self._counts.get(source.name)
+            scan.lost = max((scan.stated or 0) - scan.returned, 0)
         if not scan.ended and source != self._growing:
             self.warnings.append(f'{source}: cut off (no end of data): read the intact part; '
                                  '`ros2 run quad_bridge recover` rebuilds the bag')

@@ -35,7 +35,6 @@ from quad_sysid.imports.log import (
     within,
 )
 from quad_sysid.imports.mixers import MIRROR, angles_from_ned, enu, mirrored
-from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, text_lines
 
 FIRST_INSTANCE = ('IMU', 'BAT', 'XKF1')
@@ -231,12 +230,6 @@ def _load(path: Path) -> Table:
     if 'RATE.R' in columns and (log.in_ms or _hundredths(columns)):
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * 0.01
-    for signal, largest in ((CONTROL_RATES, FASTEST_RAD_S / DEGREE), (GYRO, FASTEST_RAD_S)):
-        kind = signal.columns[0].partition('.')[0]
-        if signal.columns[0] in columns:
-            wrong = np.any([~(np.abs(columns[c]) <= largest) for c in signal.columns], axis=0)
-            table = table.without(
-                wrong, [n for n in columns if n.startswith(f'{kind}.')], f'{kind} messages')
     if log.restarts:
         table = replace(table, notes=(*table.notes, (
             f'its clock begins anew {log.restarts} times: {log.restarts + 1} flights, placed one '

@@ -41,7 +41,6 @@ from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.experiments import apart
 from quad_sysid.imports.log import DEGREE, RPM, Experiment, ForeignLog, Mapped, Reading, Signal
 from quad_sysid.imports.mixers import MIRROR, ned_angles
-from quad_sysid.imports.plausible import FASTEST_RAD_S
 from quad_sysid.imports.table import Table, head_of, read_csv, text_lines
 from quad_sysid.imports.units import header_unit, unit_of
 from quad_sysid.motion import GRAVITY
@@ -105,9 +104,7 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     clock_unit = unit_of('time', 's' if units.get('time') == 's' else 'us', 'time')
     first_us = float(table.columns['time'][0])
     table = table.on_clock('time', clock_unit)
-    gyro, scale = _several('gyroADC', 3), _rate_unit(table, units.get('gyroADC[0]', ''))
-    table = table.without(np.any(  # as damaged frames hold them
-        [np.abs(table.columns[n]) * scale > FASTEST_RAD_S for n in gyro], axis=0), gyro, 'frames')
+    first_s = float(table.times['gyroADC[0]'][0])
     indi = 'indiflight' in ' '.join(map(str, table.header.values())).lower() or \
         'u[0]' in table.columns
     signals = _signals(table, units, indi=indi)
@@ -118,14 +115,14 @@ def read(path: Path, log: int = 1) -> ForeignLog:
     reading.mapped += [Mapped('header', '-', 'note', filters)] if filters else []
     header = {str(name): str(value) for name, value in table.header.items()}
     throttle, span = _usual_throttle(table), _span_us(table)
-    begin_s = float(table.times[gyro[0]][0]) - 1e-6 * first_us  # of the clock of the changes
+    begin_s = first_s - 1e-6 * first_us  # of the clock of the changes
     adjusted = [replace(change, time_s=change.time_s + begin_s) for change in adjusted]
     gains = tuning(header, throttle, span)
     reading.mapped += [Mapped('header.rollPID, …', '-', '/gains/active', gains.how)] * bool(
         gains.gains)
     return reading.log('a blackbox log', signals, crafts=crafts, faster=FASTER, gains=gains.gains,
                        loop_s=_loop_s(header),
-                       utc_s=_utc_s(header, float(table.times[gyro[0]][0])),
+                       utc_s=_utc_s(header, first_s),
                        gain_changes=changes(header, adjusted, throttle, span),
                        no_gains=NO_GAINS, experiments=tuple(_chirps(reading)))
 
@@ -304,6 +301,7 @@ def _decoded(path: Path, log: int) -> tuple[Table, dict[str, str], list[Adjustme
         raise BadInputError(
             str(path), f'log {log} of {count} {what}', None if not len(rows) else len(rows),
             f'choose another of {count} with --log' if count > 1 else
+            f'damaged in {faults} places, or in its header: copy it again' if faults else
             'was it armed, and the medium not full?')
     header = {str(k): _plain(v) for k, v in parser.headers.items()}
     columns = {names[i]: rows[:, k].copy() for k, i in enumerate(places)}

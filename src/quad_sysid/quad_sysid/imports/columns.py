@@ -17,7 +17,7 @@ from quad_sysid.contract import AXES, FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.imports import plausible
 from quad_sysid.imports.clock import Stream, cycles, draw
-from quad_sysid.imports.likely import likely_units, one_sided, rounded_down
+from quad_sysid.imports.likely import FEW, likely_units, one_sided, rounded_down
 from quad_sysid.imports.log import NO_GAINS, ForeignLog, Mapped
 from quad_sysid.imports.mixers import MIRROR, mixer_of
 from quad_sysid.imports.plausible import Column
@@ -408,7 +408,9 @@ def _check_ranges(options: ColumnOptions, table: Table, units: Mapping[str, Unit
                 int(outside[0]), name,
                 f'in unit {unit.name} is outside {low:g}..{high:g} of a normalised command '
                 f'({len(outside)} rows)',
-                f'name its unit, or a factor, such as --unit {shlex.quote(f"{name}={fits}")}',
+                f'name its unit, or a factor, such as --unit {shlex.quote(f"{name}={fits}")}'
+                if len(outside) > FEW * len(raw) else
+                'mend the row or leave it out (a gap is allowed), or name the unit that is meant',
             )
 
 

@@ -130,7 +130,7 @@ def _in_turn(
 
     `places` and `times` by kind: where in the file each message stands, and its own time, s.
     """
-    ends = _restarts(places, times)
+    ends = restarts(places, times)
     if not ends:
         return dict(times), 0
     flight = {name: np.searchsorted(ends, at, side='left') for name, at in places.items()}
@@ -154,7 +154,7 @@ def _near(times: FloatArray) -> NDArray[np.intp]:
     return np.asarray(rows[np.abs(away) < NEAR_S], dtype=np.intp)
 
 
-def _restarts(
+def restarts(
     places: Mapping[str, NDArray[np.int64]], times: Mapping[str, FloatArray]
 ) -> list[int]:
     """Where the last message before each restart of the clock stands; a kind says it roughly."""

@@ -17,6 +17,8 @@ SMOOTH_TURN = 20.0
 """99 % quantile of a rate, rad/s, above which it is read as deg/s."""
 MAX_V = 1000.0
 """A larger battery voltage is read as mV."""
+FEW, FAR = 1e-3, 2.0
+"""Share of the rows that may be damaged: what reaches so much further than all others is."""
 
 
 def likely_units(table: Table, option: str, names: Sequence[str]) -> list[str]:
@@ -56,8 +58,8 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
         return ['' if unit == 's' else unit or '']
     if OPTIONS[option].role in ('rate', 'angle'):
         return _turn_units(names, columns, OPTIONS[option].role)
-    high = max(float(np.nanmax(np.abs(values))) for values in columns)
-    if option == 'motors' and min(map(np.nanmin, columns)) < 0.0:
+    low, high = _reach(np.concatenate(columns))
+    if option == 'motors' and low < 0.0:
         upper = f'{rounded_down(1.0 / high):g}' if high > 1.0 else ''
         return [upper] * len(names)  # signed by their spin
     if option == 'acceleration':
@@ -72,7 +74,7 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
     if option == 'motors' and 1.0 < high <= 2200.0:
         flying = np.median([np.nanmedian(values) for values in columns])
         unit = 'percent' if high <= 100.0 else 'pulse_us' if flying >= 900.0 else 'dshot'
-    elif option == 'control' and high <= 2200.0 and min(map(np.nanmin, columns)) >= 900.0:
+    elif option == 'control' and high <= 2200.0 and low >= 900.0:
         unit = 'pulse_us'
     elif high > 2000.0:
         unit = 'pwm16'
@@ -81,6 +83,14 @@ def _by_size(  # noqa: C901, PLR0911 - option by option
     else:
         unit = f'{0.5 / high:.3g}' if option == 'thrust' and high > 1.0 else ''
     return [unit] * len(names)
+
+
+def _reach(values: FloatArray) -> tuple[float, float]:
+    """Least value and largest magnitude of a sensor's columns, but for FEW damaged cells."""
+    finite = values[np.isfinite(values)]
+    size = np.abs(finite)
+    near = size <= FAR * np.quantile(size, 1.0 - FEW, method='lower')
+    return float(np.quantile(finite, FEW, method='higher')), float(size[near].max())
 
 
 def _turn_units(names: Sequence[str], columns: Sequence[np.ndarray], role: Role) -> list[str]:

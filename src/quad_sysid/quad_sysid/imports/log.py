@@ -18,6 +18,7 @@ from quad_sysid.craft import Craft
 from quad_sysid.files import escaped
 from quad_sysid.imports.clock import Stream
 from quad_sysid.imports.mixers import Mixer
+from quad_sysid.imports.plausible import FASTEST_M_S, FASTEST_RAD_S
 from quad_sysid.record import GainChange
 
 if TYPE_CHECKING:
@@ -44,6 +45,12 @@ CONSEQUENCES = {
 """What cannot be done without a stream."""
 NO_GAINS = "the controller's gains: no closed loop, no gain design"
 DEMAND_ONLY = 'the input is what the controller demanded: the limits of the motors are not in it'
+LARGEST = {
+    'rates': (FASTEST_RAD_S, 'no gyro measures such rates'),
+    'velocity': (FASTEST_M_S, 'nothing that hovers is so fast'),
+    **dict.fromkeys(('control', 'motors'), (10.0, 'no controller commands so much')),
+}
+"""Of a stream, what only damage exceeds, in its unit, and why."""
 FAST_ENOUGH = 0.5
 """Share of the rates' rate at which motors must be logged to be used as the input, and below which
 a warning says that commands are slow."""
@@ -192,6 +199,7 @@ class Reading:
     table: Table
     streams: dict[str, Stream] = field(default_factory=dict)
     mapped: list[Mapped] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def take(self, *signals: Signal) -> None:
         """Take the first of each role whose columns were logged."""
@@ -201,11 +209,16 @@ class Reading:
                 self.put(signal, Stream(stream.time_s, signal.convert(stream.values)))
 
     def put(self, signal: Signal, stream: Stream) -> None:
-        """Take a stream that was made of the columns of `one`."""
+        """Take a stream that was made of the columns of `one`, but for damaged samples."""
         message = signal.columns[0].rpartition('.')[0]
         fields = dict.fromkeys(name.removeprefix(f'{message}.').partition('[')[0]
                                for name in signal.columns)
         source = '.'.join(filter(None, (message, ', '.join(fields))))
+        largest, why = LARGEST.get(signal.role, (np.inf, ''))
+        wrong = (np.abs(stream.values) > largest).any(axis=1)
+        if wrong.any():
+            self.notes.append(f'{wrong.sum()} of {wrong.size} {source} left out: {why}')
+            stream = Stream(stream.time_s[~wrong], stream.values[~wrong])
         self.streams[signal.role] = stream
         self.mapped.append(
             Mapped(source, signal.unit, TOPICS[signal.role], signal.how, stream.rate_hz))
@@ -218,7 +231,7 @@ class Reading:
                         if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)
         consequences += [] if more.get('gains') else [no_gains]
-        return ForeignLog(self.table.source, kind, clock=self.table.notes,
+        return ForeignLog(self.table.source, kind, clock=(*self.table.notes, *self.notes),
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(consequences))
 

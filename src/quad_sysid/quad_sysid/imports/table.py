@@ -135,14 +135,6 @@ class Table:
             return Stream(times, values) if len(times) > 1 else None
         return Stream(times[is_finite], values[is_finite]) if is_finite.sum() > 1 else None
 
-    def without(self, wrong: np.ndarray, names: Iterable[str], what: str) -> Table:
-        """Without the numbers of these columns in rows whose rates cannot be, which it says."""
-        if not wrong.any():
-            return self
-        note = f'{int(wrong.sum())} of {wrong.size} {what} left out: no gyro measures such rates'
-        clean = {name: np.where(wrong, np.nan, self.columns[name]) for name in names}
-        return replace(self, columns={**self.columns, **clean}, notes=(*self.notes, note))
-
     def _in_order(self, name: str) -> Stream:
         times = self.times[name]
         order = np.argsort(times, kind='stable')

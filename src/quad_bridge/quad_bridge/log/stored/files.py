@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import sqlite3
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from shlex import quote
@@ -48,6 +49,15 @@ def storage_in(paths: Iterable[Path]) -> list[Path]:
                    if (plain := name.removesuffix(PACKED)).endswith(('.mcap', '.db3'))
                    and (plain == name or plain not in present)),
                   key=lambda path: (len(path.name), path.name))
+
+
+def missing_parts(files: Sequence[Path]) -> list[str]:
+    """A line for each missing part of a split bag, by the recorder's numbers."""
+    numbers = [int(m[1]) for file in files if (m := re.match(r'[^.]*_(\d+)(?:\.|$)', file.name))]
+    if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
+        return []
+    absent = sorted(set(range(max(numbers))) - set(numbers))
+    return [f'part {number} of the bag is missing' for number in absent]
 
 
 def recording_state(file: Path) -> str:
