@@ -239,8 +239,8 @@ def _look(options: argparse.Namespace) -> int:
     if not options.no_page:
         from quad_sysid.logview.page import MARK, page
 
-        name = Path(options.file[0]).resolve().name.partition('.')[0] or 'log'
-        stem = name if only else 'several'
+        first = Path(options.file[0]).resolve()
+        stem = 'several' if not only else first.name if first.is_dir() else first.stem
         out = Path(options.out or f'{stem}_look.html')
         check_page(out, MARK, 'look')
         show('drawing')

@@ -99,7 +99,8 @@ def _picture(looks: Sequence[Measured], name: str, title: str, x: str, unit: str
     for panel, axis in zip(drawn, axes, strict=True):
         for look, colour, label in zip(looks, canvas.LINES, names(looks), strict=False):
             if axis in look.whole.axes:
-                draw(panel, look.whole.axes[axis], colour, label)
+                # no formula between dollars, nor a label with _ before it, which is not shown
+                draw(panel, look.whole.axes[axis], colour, f' {label}'.replace('$', r'\$'))
     canvas.finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
     canvas.plain_logarithms(drawn)
     return Picture(name, title, 'One line for each flight.', figure)
