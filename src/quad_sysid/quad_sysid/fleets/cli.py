@@ -68,9 +68,8 @@ def _parquet(rows: Sequence[Row], pa: Any) -> bytes:
     """
     from pyarrow import parquet
 
-    kinds = {True: pa.string(), False: pa.float64()}
     schema = pa.schema([
-        (name, pa.int64() if name in WHOLE else kinds[name in TEXT])
+        (name, pa.int64() if name in WHOLE else pa.string() if name in TEXT else pa.float64())
         for name in COLUMNS])
     content = {name: [row.get(name) for row in rows] for name in schema.names}
     sink = pa.BufferOutputStream()
