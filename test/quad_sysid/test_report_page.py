@@ -204,6 +204,7 @@ def test_the_answer_begins_with_the_cause_and_how_much_it_explains(tree):
         gone = {**tree['explanation'][0], 'error': error}
         assert tables.explanation({**tree, 'explanation': [gone]}).rows[0][-1] == 'runs away'
     assert sentence in page({'axes': {'roll': tree}, 'bags': ['flight']}, {}, {})
+    assert '<h1>Identification of .</h1>' in page({'axes': {}, 'bags': ['.']}, {}, {})
 
 
 @pytest.fixture(scope='module')

@@ -532,5 +532,6 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
     if middle * dt * MIN_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
         return ()
-    return (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
-            'per oscillation; a model takes one step per sample and wants thirty: sample faster',)
+    return ((f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} '
+             'samples per oscillation; a model takes one step per sample and wants thirty: sample '
+             'faster'),)

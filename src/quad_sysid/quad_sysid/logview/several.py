@@ -27,7 +27,7 @@ MOST = len(canvas.LINES)
 
 def names(looks: Sequence[Measured]) -> list[str]:
     """A short name for each log, with a number where two have the same."""
-    short = [PurePath(look.flown.source).name for look in looks]
+    short = [PurePath(look.flown.source).name or look.flown.source for look in looks]
     return [f'{name} ({k + 1})' if short.count(name) > 1 else name for k, name in enumerate(short)]
 
 

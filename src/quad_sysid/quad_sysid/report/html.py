@@ -37,7 +37,7 @@ def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
          drawn: Mapping[str, Gallery]) -> str:
     """The page as text; `drawn`: the pictures by axis."""
     axes = report['axes']
-    bags = ', '.join(PurePath(bag).name for bag in report['bags'])
+    bags = ', '.join(PurePath(bag).name or bag for bag in report['bags'])
     parts = [f'<h1>Identification of {escape(bags)}</h1>']
     if len(axes) > 1:
         links = ''.join(
