@@ -276,6 +276,7 @@ def test_logs_that_are_to_be_identified_are_made_bags_with_names_of_their_own(tm
 
 def test_gains_for_px4_need_the_scale_of_each_axis(tmp_path):
     axes = {axis: {'gains': {'rate.kp': 0.1}} for axis in ('roll', 'pitch')}
+    axes['climb'] = {'verdict': 'cannot_tell'}  # whose next flight is a launch file's
     (tmp_path / 'report.json').write_text(json.dumps({'axes': axes}))
     (tmp_path / 'model.json').write_text('{}')
     asked = {'kind': 'export', 'files': ['model.json'], 'to': 'px4'}
@@ -284,6 +285,8 @@ def test_gains_for_px4_need_the_scale_of_each_axis(tmp_path):
             commands(tmp_path, asked | {'scale': scale})
     (command,) = commands(tmp_path, asked | {'scale': '0.25, 0.5'})
     assert command[2][-4:] == ['--scale', 'roll=0.25', '--scale', 'pitch=0.5']
+    with pytest.raises(RefusedError, match='no schedule follows from the report of climb'):
+        commands(tmp_path, {'kind': 'schedule', 'files': ['model.json'], 'axis': 'climb'})
 
 
 def test_jobs_without_their_bag_of_an_earlier_start_or_many_at_once_are_in_the_queue(tmp_path):

@@ -20,6 +20,7 @@ from quad_sysid.cli import main
 from quad_sysid.comparison import trims
 from quad_sysid.loop.cascade import SWITCHED_OFF, CascadeGains
 from quad_sysid.pipeline.usable import together
+from quad_sysid.result import _flown
 from quad_sysid.units import COMMAND, Units, scale
 
 PAGE = Path(__file__).resolve().parents[2] / 'docs/python.md'
@@ -179,6 +180,9 @@ def test_several_experiments_are_lists_and_share_the_scale_of_the_input():
                             train=[True, False], validate=[False, True])
     assert {s.role for s in one.segments} == {'train'}
     assert {s.role for s in other.segments} == {'validation'}
+    both = _flown([one, other], ('roll',), [0.6, (1.0, 4.0)], [0.4, (5.0, 8.0)], print)
+    assert [(s.start_s, s.end_s) for flight in both for s in flight.segments
+            if s.role == 'train'] == [(0.0, pytest.approx(4.8)), (1.0, 4.0)]
     scale = one.units.per_command
     assert scale == other.units.per_command == 2.0 ** round(math.log2(scale))
     np.testing.assert_array_equal(other.control[:, 1], scale * 3.0 * U)
@@ -240,7 +244,10 @@ BAD = {
     'no part': ({'train': slice(10, 10)}, 'train holds no sample'),
     'no column': ({'u': 'volts'}, "u names a column of no frame: found 'volts'"),
     'no axis': ({'axis': 'bank'}, "axis must be one of roll, pitch, yaw: found 'bank'"),
-    'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2')}
+    'lists': ({'u': [U, U], 'y': [Y, Y, Y]}, 'needs lists of as many experiments: found u has 2'),
+    'one dt': ({'u': [U, U], 'y': [Y, Y], 'dt': [DT]}, 'u has 2, y has 2, dt has 1'),
+    'unit of a signal': ({'signals': {'throttle': U}, 'units': {'throttle': 'furlong'}},
+                         "units: throttle is no known unit: found 'furlong'; use 1, percent")}
 
 
 @pytest.mark.parametrize('name', BAD)
@@ -345,6 +352,12 @@ def test_the_units_of_arrays_are_those_of_their_own_axis_alone():
     np.testing.assert_allclose(flight.axis('roll').u, 20.0 * U)
     np.testing.assert_allclose(flight.axis('pitch').u, beside)
     np.testing.assert_allclose(flight.axis('pitch').y, Y)
+    other = record(u=200.0 * U, units={
+        'u': 'volts', 'throttle': 'percent', 'pitch_command': 'pulse_us'}, signals={
+            'throttle': 50.0 + U, 'pitch_command': 1500.0 + 1000.0 * beside})
+    assert other.units.command == flight.units.command  # though it is more than 10 V
+    np.testing.assert_allclose(other.control[:, 0], flight.control[:, 0])
+    np.testing.assert_allclose(other.control[:, 2], beside, atol=1e-12)
     found = trims(flight)
     assert {axis: mean.unit for axis, mean in found.items()} == {
         'roll': 'V', 'pitch': 'normalised command', 'climb': 'normalised command'}
@@ -409,7 +422,9 @@ def test_every_function_takes_what_the_others_return(result, tmp_path):
     assert box.bode([3.0]).w[0] == 3.0
 
 
-def test_result_and_model_are_copied_pickled_and_written_without_loss(result, refusal):
+def test_result_and_model_are_copied_pickled_and_written_without_loss(
+    result, refusal, tmp_path
+):
     found, _ = result
     text = found.model.to_json()
     for again in (copy.deepcopy(found.model), pickle.loads(pickle.dumps(found.model)),  # noqa: S301
@@ -423,6 +438,8 @@ def test_result_and_model_are_copied_pickled_and_written_without_loss(result, re
         assert str(one) == str(found)
         assert one.effects == found.effects
         assert one.gains == found.gains
+        saved = one.save(tmp_path / 'out', html=False, pictures=False)
+        assert one['roll'].errors == saved.errors == found.errors
     assert repr(found) == 'roll: effects_added coulomb_friction'
     assert 'a result of from_json has no pictures' in refusal(one.plot, 'free_run')
     assert 'no result' in refusal(qs.Result.from_json, json.dumps({}))

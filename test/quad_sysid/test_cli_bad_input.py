@@ -35,6 +35,17 @@ def test_wrong_options_of_identify(plain_bag, refused, tmp_path, arguments, word
     assert not (tmp_path / 'out').exists()
 
 
+def test_what_the_system_refuses_is_said_in_one_line(refused, monkeypatch):
+    for words in ('identify', 'look', 'export --to mat', 'fleet',
+                  'design-excitation --band 1:20 --out'):
+        error = refused(main, *words.split(), 300 * 'a')
+        assert ': is refused by the system: found File name too long; check name, perm' in error
+    with Path('/dev/full').open('w') as full:
+        monkeypatch.setattr('sys.stdout', full)
+        error = refused(main, 'design-excitation', '--band', '1:20')
+    assert error.startswith('quad-sysid: output: is refused by the system: found No space left')
+
+
 @pytest.fixture
 def strange_bag(plain_bag, tmp_path, monkeypatch):
     """A bag whose name is no UTF-8, and how that is shown."""

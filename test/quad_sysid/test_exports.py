@@ -8,13 +8,16 @@ import pytest
 from flown_axis import model_of
 from scipy.io import loadmat
 
+from quad_sysid.axes import LEAN, THRUST
 from quad_sysid.cli import main
 from quad_sysid.estimate.stored import estimate_of
-from quad_sysid.exports import matrices
+from quad_sysid.exports import as_control, matrices
 from quad_sysid.report.model_file import save_models
+from quad_sysid.units import Units
 
 BASE = {'gain': 450.0, 'lag': 0.042, 'delay': 0.0094, 'damping': 0.4, 'bias': 0.1}
 DT, FILTER_HZ = 0.004, 42.0
+VOLTS = Units('V', 0.05, 0.0, 'rpm', np.pi / 30.0, 'rev', 2.0 * np.pi)
 
 
 @pytest.fixture
@@ -27,6 +30,22 @@ def test_a_model_with_play_is_exported_without_it(model):
     """Small motion leaves its state at rest: the linear systems to compare differ in size."""
     loose = replace(model, effects=(estimate_of('backlash', (0.01,), std=0.001),))
     np.testing.assert_array_equal(matrices(loose)['Ad'], matrices(model)['Ad'])
+
+
+def test_an_export_is_in_the_units_of_its_model(model):
+    for axis, units, words, torque in (
+            ('climb', THRUST, 'command (norm.) to speed (m/s) and position (m)', '0.16 m/s²'),
+            ('surge', LEAN, 'command (rad of lean) to speed (m/s) and pos', '0.16 m/s²'),
+            ('roll', VOLTS, 'command (V) to rate (rpm) and angle (rev)', '0.0254648 rev/s²')):
+        there = replace(model, axis=axis, units=units)
+        text = as_control({axis: there}).decode()
+        assert f'# {axis}: {words}' in text
+        assert f'coulomb_friction.torque = {torque}' in text
+        assert ('@ motors' in text) == (axis == 'climb')  # else the command is not a mix of them
+        found, si = matrices(there), matrices(replace(model, axis=axis))
+        for b, c in (('B', 'C'), ('Bd', 'Cd')):
+            np.testing.assert_allclose(found[b], units.per_command * si[b])
+            np.testing.assert_allclose(found[c] * [[units.per_rate], [units.per_motion]], si[c])
 
 
 @pytest.fixture

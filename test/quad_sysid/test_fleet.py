@@ -66,7 +66,8 @@ def test_a_name_that_is_no_utf_8_stops_no_fleet(tmp_path, refused, monkeypatch):
     monkeypatch.setattr(engine, '_by_threads', lambda todo, *_: (
         bag.keep(job, bag.look(job)) for job in todo))
     root, out = tmp_path / os.fsdecode(b'fl\xe9'), tmp_path / 'out'
-    for name in ('one/torn_0.mcap', os.fsdecode(b'vol_\xe9/torn_0.mcap')):
+    long = 60 * b'\xe9' + b'/torn_0.mcap'  # escaped it is longer than a disk takes
+    for name in ('one/torn_0.mcap', os.fsdecode(b'vol_\xe9/torn_0.mcap'), os.fsdecode(long)):
         (root / name).parent.mkdir(parents=True)
         (root / name).write_bytes(b'noise')
     for options in ((), ('--shard', '1/1'), ('--merge',)):
@@ -74,7 +75,8 @@ def test_a_name_that_is_no_utf_8_stops_no_fleet(tmp_path, refused, monkeypatch):
         assert r'fl\udce9: no bag could be answered' in error
     with (out / 'fleet.csv').open() as stream:
         rows = {row['bag']: row for row in csv.DictReader(stream)}
-    assert rows.keys() == {'one/torn_0.mcap', r'vol_\udce9/torn_0.mcap'}
+    assert rows.keys() == {'one/torn_0.mcap', r'vol_\udce9/torn_0.mcap',
+                           60 * r'\udce9' + '/torn_0.mcap'}
     assert rows[r'vol_\udce9/torn_0.mcap']['aircraft'] == r'vol_\udce9'
     assert all('is neither mcap nor sqlite3' in row['reason'] for row in rows.values())
     assert r'vol_\udce9/torn_0.mcap failed' in (out / 'fleet.log').read_text()

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from functools import cache
 
@@ -380,10 +381,13 @@ def test_the_command_prints_the_answer_first_and_writes_a_page(
     text = (tmp_path / 'flight_look.html').read_text()
     assert len(text.encode()) < 2_000_000
     assert not re.search(r'(?:src|href)="(?!data:|#)', text)
-    both = printed(cli.main, 'look', 'flight', 'flight', '--out', 'both.html')
-    assert re.search(r'roll +flight \(2\) +\d', both)
+    shutil.copy(next((tmp_path / 'flight').glob('*.mcap')), '_5$_6$.v1.mcap')
+    both = printed(cli.main, 'look', 'flight', '_5$_6$.v1.mcap', 'flight', '--out', 'both.html')
+    assert re.search(r'roll +flight \(3\) +\d', both)
     assert (tmp_path / 'both.html').stat().st_size < 2_000_000
-    tree = json.loads(printed(cli.main, 'look', 'flight', '--json', '--no-page'))
+    assert '> _5$_6$.v1.mcap</text>' in (tmp_path / 'both.html').read_text()
+    tree = json.loads(printed(cli.main, 'look', '_5$_6$.v1.mcap', '--json'))
+    assert (tmp_path / '_5$_6$.v1_look.html').exists()
     assert tree['axes']['roll']['steps'][0]['rise_time_s'] == pytest.approx(
         truth().rise_time_s, rel=0.03)
     (tmp_path / 'mine.html').write_text('notes')

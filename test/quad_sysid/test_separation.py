@@ -21,6 +21,7 @@ from quad_sysid.model.structure import Structure, coordinates
 from quad_sysid.pipeline.advice import rivalry
 from quad_sysid.pipeline.identify import Options, identify
 from quad_sysid.report.model_file import save_models
+from quad_sysid.report.next_flight import next_flight
 from quad_sysid.separation import design, words
 from quad_sysid.separation.design import Separation, rivals_of, separate, variants
 from quad_sysid.separation.flight import PAPER, PAPER_NOISE, fly, paper_aircraft
@@ -146,6 +147,9 @@ def test_the_report_advises_the_flight_where_a_rival_is_near(refusal):
     (friction,) = lonely.effects
     doubted = replace(friction, probability=0.2, rivals=((UNLISTED, 0.8),))
     assert list(rivalry(replace(lonely, effects=(doubted,)))) == []
+    rivals = [{'name': UNLISTED, 'probability': 0.8}]
+    assert next_flight('roll', {'verdict': 'effects_added', 'effects': [
+        {'name': friction.name, 'probability': 0.2, 'rivals': rivals}]}) == ()
     backwards = replace(lonely, base=(Parameter('gain', -400.0, 1.0, ''), *lonely.base[1:]))
     asked = ('mode:swinging', 'nothing')
     assert 'gain is not positive' in refusal(qs.separate, backwards, asked, 20.0)

@@ -196,21 +196,31 @@ def run_command(parser: Parser, arguments: Sequence[str] | None) -> int:
     try:
         _check_paths(options)
         status: int = options.run(options)
+        print(end='', flush=True)  # noqa: T201  a full disk is met here, not at the end of Python
     except QuadSysidError as error:
         _say(f'{parser.prog}: {error}')
         return error.exit_status
     except KeyboardInterrupt:
         _say(f'{parser.prog}: interrupted')
         return INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
-        if not (line := _fault_of_effect(error)):
+        if isinstance(error, OSError) and error.filename is None:
+            # what is printed is refused, and Python would try it again at its end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return 0
+        if not (line := _fault_of_effect(error) or _fault_of_system(error)):
             raise
         _say(f'{parser.prog}: {line}')
         return BAD_ARGUMENTS
     return status
+
+
+def _fault_of_system(error: Exception) -> str:
+    """The line on a name that is too long, a folder for a file, a full disk; '' for others."""
+    return '' if not isinstance(error, OSError) else one_line(
+        str(error.filename or 'output'), 'is refused by the system', error.strerror,
+        'check name, permissions and free space')
 
 
 def _fault_of_effect(error: Exception) -> str:

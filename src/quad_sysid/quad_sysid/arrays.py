@@ -25,7 +25,7 @@ from quad_sysid.imports.log import ForeignLog
 from quad_sysid.imports.stated_gains import stated
 from quad_sysid.imports.to_bag import MIDDLE_COMMAND, MIN_SAMPLES, record_of
 from quad_sysid.imports.units import UNITS, Role, written
-from quad_sysid.parts import WHERE, Part, with_parts
+from quad_sysid.parts import WHERE, Part, part_of, with_parts
 from quad_sysid.record import SPEED_DT_S, IOData, Record
 from quad_sysid.units import Units
 
@@ -116,15 +116,13 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
         raise BadInputError(WHERE, f'axis must be one of {", ".join(AXES)}', repr(axis))
     arguments = {'u': u, 'y': y, 't': t, 'angle': angle, 'reference': reference, 'dt': dt,
                  **{f'signals: {name}': signal for name, signal in _signals(signals).items()}}
-    if gains is not None and not isinstance(gains, Mapping):
-        raise BadInputError(WHERE, 'gains must be a dict of name and number',
-                            type(gains).__name__, "such as gains={'roll.rate.kp': 0.07, …}")
-    flown = stated(gains or {}, (axis,), f'{WHERE}: gains')
+    flown = stated(_mapping('gains', gains, 'number', "'roll.rate.kp': 0.07, …"), (axis,),
+                   f'{WHERE}: gains')
     several = isinstance(data, list) or any(map(_several, arguments.values()))
     count = 1
     if several:
         lengths = {name: len(values) for name, values in [('the data', data), *arguments.items()]
-                   if _several(values) or (values is data and isinstance(data, list))}
+                   if _several(values) or isinstance(values, list)}
         count = next(iter(lengths.values()))
         if len(set(lengths.values())) > 1:
             raise BadInputError(WHERE, 'needs lists of as many experiments', ', '.join(
@@ -142,8 +140,7 @@ def records_of(data: Any = None, *, u: Any = None, y: Any = None, dt: Any = None
     return [
         _record(columns, units_read, _texts(units), flown, axis,
                 WHERE if count == 1 else f'experiment {k + 1}',
-                *(of(part, k) if isinstance(part, list) and len(part) == count else part
-                  for part in (train, validate)))
+                *(part_of(part, k, count) for part in (train, validate)))
         for k, columns in enumerate(read)
     ]
 
@@ -160,31 +157,31 @@ def are_arrays(data: object) -> bool:
 # what is handed in → columns
 
 
+def _mapping(name: str, value: Any, of: str, example: str) -> Mapping[str, Any]:
+    """The dict of an argument, empty for None."""
+    if value is not None and not isinstance(value, Mapping):
+        raise BadInputError(WHERE, f'{name} must be a dict of name and {of}',
+                            type(value).__name__, f'such as {name}={{{example}}}')
+    return value or {}
+
+
 def _signals(signals: Any) -> Mapping[str, Any]:
-    if signals is None:
-        return {}
-    if not isinstance(signals, Mapping):
-        raise BadInputError(WHERE, 'signals must be a dict of name and array',
-                            type(signals).__name__, "such as signals={'battery': volts}")
-    for name in signals:
+    known = _mapping('signals', signals, 'array', "'battery': volts")
+    for name in known:
         if name not in SIGNALS:
             raise BadInputError(WHERE, 'signals holds an unknown one', repr(name),
                                 f'there are {", ".join(SIGNALS)}')
-    return signals
+    return known
 
 
 def _texts(units: Any) -> Mapping[str, Any]:
-    if units is None:
-        return {}
-    if not isinstance(units, Mapping):
-        raise BadInputError(WHERE, 'units must be a dict of name and unit', type(units).__name__,
-                            "such as units={'u': 'V', 'y': 'm/s'}")
+    texts = _mapping('units', units, 'unit', "'u': 'V', 'y': 'm/s'")
     allowed = ('u', 'y', 'angle', 'reference', 't', *SIGNALS)
-    for name in units:
+    for name in texts:
         if name not in allowed:
             raise BadInputError(WHERE, 'units names what is no argument', repr(name),
                                 f'use {", ".join(allowed[:5])} or a signal')
-    return units
+    return texts
 
 
 def _several(value: object) -> bool:
@@ -399,8 +396,6 @@ def _factor(name: str, unit: Any, factors: Mapping[str, float]) -> float:
             return float(unit)
     elif isinstance(unit, str) and written(unit) in factors:
         return factors[written(unit)]
-    elif isinstance(unit, str) and unit in factors:
-        return factors[unit]
     every = {*RATES, *MOTIONS, *PHYSICAL, *(u for role in UNITS.values() for u in role)}
     what = 'is not a unit of it' if isinstance(unit, str) and written(unit) in every \
         else 'is no known unit'
@@ -412,7 +407,7 @@ def _units(read: Sequence[_Columns], units: Mapping[str, Any]) -> Units:
     """The units of all experiments."""
     command, per_command, zero = _command(read, units.get('u'))
     rate, motion = units.get('y', 'rad/s'), units.get('angle')
-    if isinstance(rate, str) and written(rate) in MOTIONS and written(rate) not in RATES:
+    if written(str(rate)) in MOTIONS:
         if any(columns.angle is not None for columns in read):
             raise BadInputError(WHERE, 'units: y is a position beside an angle', repr(rate),
                                 'hand in one of them, or y as a rate')
@@ -445,8 +440,8 @@ def _command(read: Sequence[_Columns], unit: Any) -> tuple[str, float, float]:
             raise BadInputError(WHERE, f'u in {name} is outside {-MOST_COMMAND:g}..'
                                 f'{MOST_COMMAND:g} of a normalised command',
                                 f'{low:.3g}..{high:.3g}', 'name its unit, or leave units out')
-    if name in control_units or name in PHYSICAL or unit in PHYSICAL:
-        return unit, scaled, 0.0
+    if name in control_units or name in PHYSICAL:
+        return name, scaled, 0.0
     factor = _factor('u', unit, dict.fromkeys((*control_units, *PHYSICAL), 1.0))
     low, high = _reach(read, factor, 0.0)
     if max(-low, high) > MOST_COMMAND + 1e-6:
@@ -466,8 +461,7 @@ def _reach(read: Sequence[_Columns], factor: float, offset: float) -> tuple[floa
 def _record(series: _Columns, units: Units, texts: Mapping[str, Any], gains: Mapping[str, float],
             axis: str, source: str, train: Any, validate: Any) -> Record:
     index = AXES.index(axis)
-    y_moves = series.y is not None and units.rate == f'{units.motion}/s' and \
-        isinstance(texts.get('y'), str) and written(texts['y']) in MOTIONS
+    y_moves = series.y is not None and written(str(texts.get('y'))) in MOTIONS
     rate, angle = (None, series.y) if y_moves else (series.y, series.angle)
 
     def stream(columns: Mapping[int, FloatArray], width: int = 3) -> Stream:
@@ -477,38 +471,39 @@ def _record(series: _Columns, units: Units, texts: Mapping[str, Any], gains: Map
         is_finite = np.isfinite(out).all(axis=1)
         return Stream(series.time_s[is_finite], out[is_finite])
 
-    def signal(kind: str, name: str) -> FloatArray | None:
-        values = series.signals.get(f'{name}_{kind}')
+    def signal(name: str) -> FloatArray | None:
+        values = series.signals.get(name)
         if values is None:
             return None
-        role, usual = SIGNALS[f'{name}_{kind}']
+        role, usual = SIGNALS[name]
+        unit = texts.get(name, usual)
         table = {'rate': RATES, 'angle': MOTIONS}.get(
             role, {unit: factor for unit, (factor, _) in UNITS[role].items()})
-        return _factor(f'{name}_{kind}', texts.get(f'{name}_{kind}', usual), table) * values
+        offset = UNITS[role].get(written(unit), (1.0, 0.0))[1] if isinstance(unit, str) else 0.0
+        return _factor(name, unit, table) * values + offset
 
     other_axes = [name for name in AXES if name != axis]
     rates, angles, control = ({AXES.index(name): values for name in other_axes
-                               if (values := signal(kind, name)) is not None}
+                               if (values := signal(f'{name}_{kind}')) is not None}
                               for kind in ('rate', 'angle', 'command'))
     per_angle = units.per_motion if angle is series.y or series.angle is None else _factor(
         'angle', texts.get('angle', units.motion), MOTIONS | {units.motion: units.per_motion})
     command = {1 + index: values for index, values in control.items()}
-    throttle = series.signals.get('throttle')
+    throttle = signal('throttle')
     command[0] = np.full(series.u.size, MIDDLE_COMMAND) if throttle is None else throttle
     command[1 + index] = units.command_of(series.u)
     reference = series.reference
     if reference is not None:
         reference = reference * _factor('reference', texts.get('reference', units.motion),
                                         MOTIONS | {units.motion: units.per_motion})
-    battery = series.signals.get('battery')
+    battery = signal('battery')
     log = ForeignLog(
         source=source, kind='a table', gains=gains,
         rates=None if rate is None else stream({**rates, index: units.rate_of(rate)}),
         control=stream(command, 4), axes=(axis,),
         angles=None if angle is None else stream({**angles, index: per_angle * angle}),
         attitude_setpoint=None if reference is None else stream({index: reference}),
-        battery=None if battery is None else stream({0: _factor(
-            'battery', texts.get('battery', 'V'), {'V': 1.0, 'mV': 1e-3}) * battery}, 1),
+        battery=None if battery is None else stream({0: battery}, 1),
     )
     read = record_of(log, dt=series.dt)
     measured = np.asarray(angle if rate is None else rate)
@@ -537,6 +532,6 @@ def _too_coarse(measured: FloatArray, dt: float) -> tuple[str, ...]:
     near = (frequency_hz > middle / NARROW) & (frequency_hz < middle * NARROW)
     if middle * dt * MIN_PER_OSCILLATION < 1.0 or power[near].sum() < 0.5 * power.sum():
         return ()
-    text = (f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} samples '
-            'per oscillation; a model takes one step per sample and wants thirty: sample faster')
-    return (text,)
+    return ((f'what was measured oscillates at {middle:.3g} Hz, {1.0 / (middle * dt):.0f} '
+             'samples per oscillation; a model takes one step per sample and wants thirty: sample '
+             'faster'),)

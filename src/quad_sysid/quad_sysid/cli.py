@@ -42,9 +42,6 @@ from quad_sysid.imports import cli as imports
 from quad_sysid.record import Record
 from quad_sysid.units import in_units_of
 
-INSPECTION = 'quad_sysid/inspection/1'
-"""Schema of `inspect --json`."""
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit status."""
@@ -208,7 +205,7 @@ def _inspect(options: argparse.Namespace) -> int:
         check_page(options.out, MARK, 'inspect')
         write_whole(options.out, page(report))
     if options.json:
-        print(json.dumps({'schema': INSPECTION, **asdict(report)}, indent=1))
+        print(json.dumps({'schema': 'quad_sysid/inspection/1', **asdict(report)}, indent=1))
     elif not options.quiet:
         print('\n'.join(lines(report)))
     if report.unusable:
@@ -239,8 +236,9 @@ def _look(options: argparse.Namespace) -> int:
     if not options.no_page:
         from quad_sysid.logview.page import MARK, page
 
-        name = Path(options.file[0]).resolve().name.partition('.')[0] or 'log'
-        out = Path(options.out or f'{name if only else "several"}_look.html')
+        first = Path(options.file[0]).resolve()
+        stem = 'several' if not only else first.name if first.is_dir() else first.stem
+        out = Path(options.out or f'{stem or "log"}_look.html')
         check_page(out, MARK, 'look')
         show('drawing')
         write_whole(out, page(only) if only else several.page(looks))

@@ -21,20 +21,20 @@ from quad_sysid.axes import EVERY
 from quad_sysid.contract import FloatArray
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_new, write_whole
-from quad_sysid.units import Units
+from quad_sysid.units import COMMAND, Units, scale
 
 if TYPE_CHECKING:
     from quad_sysid.model import AxisModel
 
 OUTPUTS = ('rate', 'angle')
-"""Outputs: rate after the gyro filter, rad/s; angle, rad."""
+"""Outputs: rate after the gyro filter, and angle."""
 
 
 def matrices(model: AxisModel) -> dict[str, Any]:
     """A model's linear part in MATLAB's names: base, gyro filter, slow motors and modes.
 
     A, B, C are continuous behind `delay_s`; Ad, Bd, Cd are one control cycle of `dt_s`, with the
-    delay as states. From the normalised command to measured rate and angle, no curves.
+    delay as states. From command to measured rate and angle in the model's units, no curves.
     """
     from scipy.linalg import logm  # slow to import
 
@@ -52,8 +52,17 @@ def matrices(model: AxisModel) -> dict[str, Any]:
     block = np.eye(n + 1)
     block[:n, :n], block[:n, n] = prompt_loop.a[0], prompt_loop.b[0]
     rates = np.real(logm(block)) / dt
-    return {'A': rates[:n, :n], 'B': rates[:n, n:], 'C': prompt_loop.c[0], 'delay_s': delay_s,
-            'Ad': loop.a[0], 'Bd': loop.b[0][:, None], 'Cd': loop.c[0], 'dt_s': dt}
+    units = model.units or Units()
+    per_output = np.array([[units.per_rate], [units.per_motion]])
+    return {'A': rates[:n, :n], 'B': units.per_command * rates[:n, n:],
+            'C': prompt_loop.c[0] / per_output, 'delay_s': delay_s, 'Ad': loop.a[0],
+            'Bd': units.per_command * loop.b[0][:, None], 'Cd': loop.c[0] / per_output, 'dt_s': dt}
+
+
+def _signals(model: AxisModel) -> list[str]:
+    """Command, rate and angle with their units."""
+    return [scale(model.units, name, unit).label.replace(', ', ' (') + ')' for name, unit in (
+        ('command', COMMAND), ('rate', 'rad/s'), ('angle', 'rad'))]
 
 
 NOTE = (
@@ -80,12 +89,12 @@ def as_mat(models: Mapping[str, AxisModel]) -> bytes:
     content: dict[str, Any] = {'note': NOTE}
     for axis, model in models.items():
         content[axis] = {
-            **matrices(model), 'outputs': list(OUTPUTS),
+            **matrices(model), 'outputs': list(OUTPUTS), 'signals': _signals(model),
             **({'warning': _warning(model)} if model.no_gains_because else {}),
             'mixer': model.craft.mixer, 'mixer_inverse': model.craft.inverse,
-            'base': {p.name: p.value for p in model.base},
-            'effects': {e.name.replace(':', '_'): {p.name: p.value for p in e.parameters}
-                        for e in model.effects},
+            'base': {p.name.replace('.', '_'): model.in_units(p).value for p in model.base},
+            'effects': {e.name.replace(':', '_'): {p.name: model.in_units(p).value
+                                                   for p in e.parameters} for e in model.effects},
         }
     stream = io.BytesIO()
     savemat(stream, content, oned_as='column', long_field_names=True)
@@ -97,15 +106,14 @@ def as_control(models: Mapping[str, AxisModel]) -> bytes:
     lines = ['"""Identified by quad-sysid; for python-control.', '', NOTE, '"""', '',
              'import control', 'import numpy as np', '', 'axes = {}']
     for axis, model in models.items():
-        system = matrices(model)
+        system, (u, rate, angle) = matrices(model), _signals(model)
+        mixed = '' if model.units not in (None, EVERY['climb'].units) else (
+            f'# command = {model.craft.inverse[1 + EVERY[axis].index].tolist()} @ motors')
         lines += [
-            '', (f'# {axis}: normalised command to rate (rad/s) and angle (rad), held over '
-            f'{system["dt_s"]:g} s,'), f'# the delay of {system["delay_s"]:.6g} s as states',
-            f'# command = {model.craft.inverse[1 + EVERY[axis].index].tolist()} @ motors',
-            *filter(None, [_warning(model, '# ')]),
-            *(f'# {p.name} = {p.value:.6g} {p.unit}' for p in model.base),
-            *(f'# not in the matrices: {e.name}.{p.name} = {p.value:.6g} {p.unit}'
-              for e in model.effects for p in e.parameters),
+            '', f'# {axis}: {u} to {rate} and {angle}, held over {system["dt_s"]:g} s,',
+            f'# the delay of {system["delay_s"]:.6g} s as states',
+            *filter(None, [mixed, _warning(model, '# ')]),
+            *(f'# {name} = {p.value:.6g} {p.unit}' for name, p in model.parameters.items()),
             f'axes[{axis!r}] = control.ss(',
             *(f'    np.array({system[name].tolist()}),' for name in ('Ad', 'Bd', 'Cd')),
             f'    0.0, {system["dt_s"]!r},',
@@ -147,8 +155,7 @@ def to_control(model: AxisModel, *, linear: bool = False) -> Any:
 
     def output(_: float, x: FloatArray, __: FloatArray, ___: object) -> FloatArray:
         rate, angle = plant.measured(unflat(x[:, None] + rest, start))
-        seen: FloatArray = np.array([rate[0], 0.0 if angle is None else angle[0]]) / per_output
-        return seen
+        return np.asarray([rate[0], 0.0 if angle is None else angle[0]] / per_output)
 
     return control.nlsys(update, output, states=rest.shape[0], dt=model.dt, **names)
 

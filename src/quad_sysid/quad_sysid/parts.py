@@ -22,6 +22,11 @@ Parts: TypeAlias = Part | Sequence[Part]
 """A part of each experiment: one for all, or a list with one for each."""
 
 
+def part_of(parts: Any, k: int, count: int) -> Any:
+    """The part of experiment k: its own of a list with one for each, else the one for all."""
+    return parts[k] if isinstance(parts, list) and len(parts) == count else parts
+
+
 def with_parts(record: Record, time_s: FloatArray, axes: Sequence[str], train: Any,
                validate: Any) -> Record:
     """The record with the requested segments, if any, for samples at time_s (n,), s."""

@@ -448,7 +448,7 @@ def motors_at_limit(motors: FloatArray, idle: float = 0.0) -> np.ndarray:
 
 
 def finite_runs(mask: np.ndarray, span: tuple[int, int]) -> list[tuple[int, int]]:
-    """Index ranges [start, stop) inside `span` where `good` (n,) is True without a break."""
+    """Index ranges [start, stop) inside `span` where `mask` (n,) is True without a break."""
     start, stop = span
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask[start:stop], [False]))))
     return [(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2)]

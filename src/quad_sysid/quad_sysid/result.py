@@ -68,6 +68,8 @@ class Result:
     """The aircraft as a whole; None where the flights are arrays."""
     folder: Path | None = None
     """Folder of the report, once it is saved."""
+    stored: Mapping[str, Any] | None = None
+    """The report that it was read from, by from_json."""
 
     def __getitem__(self, axis: str) -> Result:
         """The answer for one axis."""
@@ -89,6 +91,8 @@ class Result:
         """The tree of report.json (contract)."""
         from quad_sysid.report.document import document
 
+        if self.stored is not None:
+            return {**self.stored, 'axes': {a: self.stored['axes'][a] for a in self.answers}}
         return document(self.answers, self.flights, self.inertia, self.whole)
 
     @property
@@ -194,10 +198,8 @@ class Result:
             flights, inertia = tuple(tree['flights']), tree['inertia']
         except (ValueError, TypeError, KeyError) as error:
             raise BadInputError('from_json', 'is no result of to_json', str(error)) from error
-        stored = models_of(models, 'from_json', effects) if models else {}
-        result = cls(answers_of(report, stored), flights, inertia)
-        vars(result)['report'] = report
-        return result
+        known = models_of(models, 'from_json', effects) if models else {}
+        return cls(answers_of(report, known), flights, inertia, stored=report)
 
     def save(self, folder: str | Path | None = None, *, html: bool = True,
              pictures: bool = True) -> Result:
@@ -211,7 +213,7 @@ class Result:
             Path(f'{Path(self.flights[0]).resolve().stem}_identified')
         )
         store.write(place, self.report, self.answers, html=html, pictures=pictures,
-                    urdf=self.whole.urdf if self.whole else '')
+                    urdf=self.report.get('aircraft', {}).get('urdf', ''))
         return replace(self, folder=place)
 
     @property
@@ -371,7 +373,7 @@ def _request(flights: Any, axes: str | Sequence[str], arrays: Mapping[str, Any],
 def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
            show: Callable[[str], None]) -> list[Record]:
     """The records of flights, with the segments that were asked for."""
-    from quad_sysid.parts import with_parts
+    from quad_sysid.parts import part_of, with_parts
 
     every: list[Any] = [flights] if isinstance(flights, Record | str | Path) \
         else list(flights or ())
@@ -379,13 +381,14 @@ def _flown(flights: Any, axes: tuple[str, ...], train: Any, validate: Any,
         raise BadInputError('identify', 'has no flight', repr(flights),
                             'name a bag, or hand in arrays: u=…, y=…, dt=…')
     records = []
-    for flight in every:
+    for k, flight in enumerate(every):
         if not isinstance(flight, Record):
             show(f'reading {flight}')
         record = flight if isinstance(flight, Record) else read_bag(flight)
-        spans = _is_span(train) and _is_span(validate)
-        records.append(split_segments(record, train, validate, axes or None) if spans
-                       else with_parts(record, record.time_s, axes or AXES, train, validate))
+        fitted, held_out = (part_of(part, k, len(every)) for part in (train, validate))
+        spans = _is_span(fitted) and _is_span(held_out)
+        records.append(split_segments(record, fitted, held_out, axes or None) if spans
+                       else with_parts(record, record.time_s, axes or AXES, fitted, held_out))
     return records
 
 
@@ -434,11 +437,10 @@ def installed_designer(name: str = 'pid') -> tuple[Designer | None, str]:
         return None, (f'several packages offer the designer {name!r} ({", ".join(own)}); '
                       'uninstall all but one')
     try:
-        designer: Designer = offered[own[0]].load()
+        return offered[own[0]].load(), ''
     except Exception as error:  # noqa: BLE001 - the identification stands without gains
         return None, (f'the designer {own[0]} cannot be loaded: {type(error).__name__}: {error}; '
                       'mend its package or uninstall it')
-    return designer, ''
 
 
 def evaluate(model: AxisModel, flight: Record | str | Path) -> Evaluation:

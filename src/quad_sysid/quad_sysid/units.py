@@ -150,4 +150,4 @@ def with_error(value: float, std: float) -> str:
     digits = 1 - math.floor(math.log10(std)) if 0.0 < std < math.inf else SMALLEST + 1
     if digits > SMALLEST:
         return f'{value:.4g} ± {std:.2g}'
-    return ' ± '.join(f'{round(number, digits):.{max(digits, 0)}f}' for number in (value, std))
+    return ' ± '.join(f'{round(n, digits) + 0.0:.{max(digits, 0)}f}' for n in (value, std))

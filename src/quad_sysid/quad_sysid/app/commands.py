@@ -145,9 +145,10 @@ def _schedule(free: Free, paths: Sequence[Path], request: Mapping[str, Any]) -> 
     model, axis = paths[0], request.get('axis')
     axes = _answers(model)
     axis = axis if axis in axes else next(iter(axes))
-    planned = [advice.command for advice in next_flight(str(axis), axes[axis]) if advice.command]
+    planned = [advice.command for advice in next_flight(str(axis), axes[axis])
+               if advice.command.startswith(SYSID)]
     if not planned:
-        raise RefusedError(f'nothing is left to fly for {axis}')
+        raise RefusedError(f'no schedule follows from the report of {axis}: read what it says')
     places = {'model.json': str(model), 'next.yaml': free(f'next_flight_{axis}', '.yaml')}
     return f'next flight of {axis}', SYSID, [
         places.get(word, word) for word in shlex.split(planned[0])[1:]]

@@ -153,11 +153,7 @@ async def receive(target: Path, body: AsyncIterable[bytes], most_bytes: int) -> 
         is_complete = True
     finally:
         if not is_complete:
-            _remove(target)
-
-
-def _remove(target: Path) -> None:
-    target.unlink(missing_ok=True)
+            target.unlink(missing_ok=True)  # noqa: ASYNC240  a moment
 
 
 def too_large(most_bytes: int) -> str:

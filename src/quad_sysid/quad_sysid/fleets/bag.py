@@ -41,6 +41,8 @@ BASE = ('gain', 'lag', 'delay', 'damping', 'bias')
 """Parameters of the base that every row holds, by axis."""
 OF_AXIS = ('verdict', 'effects', 'error_before', 'error_after', 'effect_parameters', 'gains',
            *(f'{name}{end}' for name in BASE for end in ('', '_std')))
+LONGEST = 220
+"""Bytes of a name that is kept whole; file systems take 255, with an ending and a hash."""
 TRIES = 2
 """How often a bag is begun whose process died."""
 LIMIT_S = 3600.0
@@ -96,14 +98,16 @@ class Job:
         return '/'.join(parts) if escaped('/'.join(parts)) == self.name else ''
 
     @property
-    def size(self) -> int:
-        """Bytes of its files."""
-        return sum(size for _, size in self.files)
-
-    @property
     def row(self) -> str:
         """Name of the file with its row among the results."""
-        return f'rows/{self.name}.json'
+        return f'rows/{fits(self.name)}.json'
+
+
+def fits(name: str) -> str:
+    """A path whose parts a disk takes: one that is too long is cut, and ends with its hash."""
+    return '/'.join(
+        part if len(part.encode()) <= LONGEST else part.encode()[:LONGEST].decode(errors='ignore')
+        + hashlib.blake2b(part.encode(), digest_size=8).hexdigest() for part in name.split('/'))
 
 
 def jobs(folder: str | Path, out: str | Path, **fields: Any) -> list[Job]:
@@ -193,7 +197,8 @@ def content_of(job: Job) -> str:
 def blank(job: Job, reason: str = '') -> Row:
     """The row of a bag that failed."""
     return {'bag': job.name, 'aircraft': job.aircraft, 'status': FAILED, 'reason': reason,
-            'asked': job.asked, 'stamp': job.stamp, 'bytes': job.size, 'seconds': 0.0}
+            'asked': job.asked, 'stamp': job.stamp, 'bytes': sum(size for _, size in job.files),
+            'seconds': 0.0}
 
 
 def keep(job: Job, row: Row) -> Row:
@@ -233,7 +238,7 @@ def _identified(job: Job) -> Row:
             'length_s': record.n * record.dt, 'sample_rate_hz': 1.0 / record.dt,
             'warnings': len(record.warnings)}
     if job.out:
-        with Place(job.out).filled(f'bags/{job.name}') as folder:
+        with Place(job.out).filled(f'bags/{fits(job.name)}') as folder:
             result.save(folder, html=False, pictures=False)
             row['kept_bytes'] = sum(p.stat().st_size for p in folder.iterdir() if p.is_file())
     specs = {(effect.name, effect.variant, spec.name): spec.centre == 0.0 and not spec.log

@@ -21,7 +21,7 @@ from quad_sysid.arguments import Commands
 from quad_sysid.axes import EVERY
 from quad_sysid.errors import BadInputError
 from quad_sysid.files import check_place, escaped, make_folder
-from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, OF_AXIS, Row, jobs
+from quad_sysid.fleets.bag import ANSWERED, LIMIT_S, OF_AXIS, Row, fits, jobs
 from quad_sysid.fleets.place import Place
 
 PAGE, LOG = 'fleet.html', 'fleet.log'
@@ -57,7 +57,7 @@ def write(rows: Sequence[Row], out: Place) -> list[str]:
     for aircraft, some in by_aircraft.items():
         folder = ''.join(f'%{ord(c):02X}' if c in ESCAPED or aircraft == UNNAMED else c
                          for c in aircraft) or UNNAMED
-        out.write(f'{PARQUET}/craft={folder}/rows.parquet', _parquet(some, pa))
+        out.write(f'{PARQUET}/craft={fits(folder)}/rows.parquet', _parquet(some, pa))
     return [CSV, PARQUET]
 
 
@@ -68,9 +68,8 @@ def _parquet(rows: Sequence[Row], pa: Any) -> bytes:
     """
     from pyarrow import parquet
 
-    kinds = {True: pa.string(), False: pa.float64()}
     schema = pa.schema([
-        (name, pa.int64() if name in WHOLE else kinds[name in TEXT])
+        (name, pa.int64() if name in WHOLE else pa.string() if name in TEXT else pa.float64())
         for name in COLUMNS])
     content = {name: [row.get(name) for row in rows] for name in schema.names}
     sink = pa.BufferOutputStream()

@@ -28,7 +28,7 @@ from quad_sysid.fleets.drift import (
     Series,
     over_fleet,
 )
-from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, panels, svg
+from quad_sysid.report.canvas import AFTER, BEFORE, MUTED, Picture, finish, framed, panels
 from quad_sysid.report.style import document
 from quad_sysid.report.tables import Table, wrapped
 from quad_sysid.report.words import chance, named, number
@@ -390,5 +390,4 @@ def _figure(quantity: Quantity, aircraft: str | None = None, drift: Drift | None
     craft = f'{aircraft or NO_NAME}, ' if aircraft is not None else ''
     picture = Picture(f'{quantity.name}-{aircraft or "fleet"}', f'{craft}{quantity.axis} '
                       f'{quantity.name}', 'Estimates with 95 % bars.', figure)
-    return (f'<figure><h4>{escape(picture.title)}</h4>{svg(picture, quantity.axis)}'
-            f'<figcaption>{escape(picture.caption)}</figcaption></figure>')
+    return framed(picture, f'{quantity.axis}-{picture.name}')

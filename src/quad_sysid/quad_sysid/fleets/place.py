@@ -81,11 +81,8 @@ class Place:
             paths = {self._in_store(name): name for name in names}
             got = self.store.cat(list(paths), on_error='omit') if paths else {}
             return {paths[path]: content for path, content in got.items()}
-        contents = {}
-        for name in names:
-            if (self.path / name).is_file():
-                contents[name] = (self.path / name).read_bytes()
-        return contents
+        own = {name: self.path / name for name in names}
+        return {name: path.read_bytes() for name, path in own.items() if path.is_file()}
 
     def write(self, name: str, content: str | bytes) -> None:
         """Write a file, which appears when it is whole. Raises BadInputError."""

@@ -28,7 +28,7 @@ PROPOSED = ('<p class="small">Shaded blue: to train, orange: held out, as an ide
 
 def page(look: Measured) -> str:
     """The page as text, at most 2 MB."""
-    name = PurePath(look.flown.source).name
+    name = PurePath(look.flown.source).name or look.flown.source
     answer = ''.join(f'<p>{escape(text)}</p>' for text in sentences(look))
     importlib.import_module('matplotlib.backends.backend_svg')  # once, before processes divide
     figures = ''.join(side_by_side([partial(_figure, make, look) for make in makers()]))

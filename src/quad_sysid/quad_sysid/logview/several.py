@@ -27,7 +27,7 @@ MOST = len(canvas.LINES)
 
 def names(looks: Sequence[Measured]) -> list[str]:
     """A short name for each log, with a number where two have the same."""
-    short = [PurePath(look.flown.source).name for look in looks]
+    short = [PurePath(look.flown.source).name or look.flown.source for look in looks]
     return [f'{name} ({k + 1})' if short.count(name) > 1 else name for k, name in enumerate(short)]
 
 
@@ -99,7 +99,8 @@ def _picture(looks: Sequence[Measured], name: str, title: str, x: str, unit: str
     for panel, axis in zip(drawn, axes, strict=True):
         for look, colour, label in zip(looks, canvas.LINES, names(looks), strict=False):
             if axis in look.whole.axes:
-                draw(panel, look.whole.axes[axis], colour, label)
+                # no formula between dollars, nor a label with _ before it, which is not shown
+                draw(panel, look.whole.axes[axis], colour, f' {label}'.replace('$', r'\$'))
     canvas.finish(drawn, x, *(f'{axis}, {unit}' for axis in axes))
     canvas.plain_logarithms(drawn)
     return Picture(name, title, 'One line for each flight.', figure)

@@ -138,7 +138,7 @@ def responses(setpoint: FloatArray, output: FloatArray, usable: npt.NDArray[np.b
               loop: Loop = RATE) -> tuple[Response, ...]:
     """The responses of all windows and of each class that has enough of them.
 
-    `setpoint`, `output`, `good` (n,): windows lie where all is good. Empty where nothing moves.
+    `setpoint`, `output`, `usable` (n,): where windows may lie. Empty where nothing moves.
     """
     every = max(1, round(loop.seconds / LAGS / dt))
     is_finite = usable & np.isfinite(setpoint) & np.isfinite(output)

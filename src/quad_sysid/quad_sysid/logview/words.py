@@ -59,7 +59,7 @@ def header(look: Measured) -> str:
     flight = look.flown
     count = len(flight.gaps)
     gaps = f', {count} gap{"s" * (count > 1)}' if count else ''
-    name, rate = PurePath(flight.source).name, 1.0 / flight.dt
+    name, rate = PurePath(flight.source).name or flight.source, 1.0 / flight.dt
     return (f'{name}: {flight.kind}, {flight.length_s:.1f} s at {rate:.5g} Hz{gaps}, '
             f'{look.whole.flown_s:.1f} s of it in the air{_experiments(look)}')
 

@@ -185,7 +185,7 @@ def svg(picture: Picture, prefix: str) -> str:
 
 def framed(picture: Picture, anchor: str, drawn: str = '') -> str:
     """The figure of a page with title and caption; `drawn` stands in it in place of the SVG."""
-    return (f'<figure id="{anchor}"><h4>{escape(picture.title)}</h4>'
+    return (f'<figure id="{escape(anchor)}"><h4>{escape(picture.title)}</h4>'
             f'{drawn or svg(picture, anchor)}'
             f'<figcaption>{escape(picture.caption)}</figcaption></figure>')
 

@@ -34,9 +34,8 @@ def document(answers: Mapping[str, AxisAnswer], bags: Sequence[str],
              whole: Whole | None = None) -> dict[str, Any]:
     """The tree of report.json; `inertia` in kg m² by axis adds torques in N m."""
     axes = {axis: _axis(answer, (inertia or {}).get(axis)) for axis, answer in answers.items()}
-    tree: dict[str, Any] = plain({'schema': SCHEMA, 'bags': bags, 'axes': axes,
-                                  **({'aircraft': whole.tree} if whole else {})})
-    return tree
+    return dict(plain({'schema': SCHEMA, 'bags': bags, 'axes': axes,
+                       **({'aircraft': whole.tree} if whole else {})}))
 
 
 def answers_of(report: Mapping[str, Any],
@@ -82,7 +81,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
 
     units = answer.units
     per_rate = unit_and_factor(units, 'rad/s')[1]
-    tree: dict[str, Any] = _worded(units, {
+    return dict(_worded(units, {
         'sample_rate_hz': answer.sample_rate_hz,
         'segments': [
             {'role': s.role, 'signal': s.signal, 'start_s': s.start_s, 'end_s': s.end_s,
@@ -114,8 +113,7 @@ def _axis(answer: AxisAnswer, inertia: float | None) -> dict[str, Any]:
         'approaches': [asdict(approach) for approach in answer.selection.approaches],
         'feedback': answer.selection.feedback, 'advice': answer.selection.advice,
         **_gains(answer.proposal), 'flown_gains': dict(model.active_gains) if model else {},
-    })
-    return tree
+    }))
 
 
 def _worded(units: Units | None, tree: Any, key: str = '') -> Any:
@@ -274,12 +272,11 @@ def _times(factor: float, tree: Any) -> Any:
 def horizons_tree(horizons: Sequence[Horizon],
                   blackbox: Mapping[float, float]) -> list[dict[str, Any]]:
     """Errors over the horizons, as the contract's `error.horizons`."""
-    tree: list[dict[str, Any]] = plain([
+    return list(plain([
         {'horizon_s': h.horizon_s, 'hold': h.hold, 'before': h.before, 'after': h.after,
          'blackbox': blackbox.get(h.horizon_s)}
         for h in horizons
-    ])
-    return tree
+    ]))
 
 
 def _gains(proposal: GainProposal | None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from quad_sysid.pipeline.answer import AxisAnswer
 from quad_sysid.report import sliders, tables, words, zoom
 from quad_sysid.report.canvas import embedded, framed
 from quad_sysid.report.next_flight import next_flight
-from quad_sysid.report.plots import PICTURES, Gallery, draw, gallery
+from quad_sysid.report.plots import PICTURES, Gallery, draw
 from quad_sysid.report.plots_data import zooming
 from quad_sysid.report.style import document, script
 from quad_sysid.whole import URDF
@@ -34,12 +34,10 @@ CELL = """.quad .tiles{display:flex;flex-wrap:wrap;gap:8px}
 
 
 def page(report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
-         galleries: Mapping[str, Gallery] | None = None) -> str:
-    """The page as text; `galleries` by axis where they are drawn already."""
-    drawn = galleries if galleries is not None else {
-        axis: gallery(answer) for axis, answer in answers.items()}
+         drawn: Mapping[str, Gallery]) -> str:
+    """The page as text; `drawn`: the pictures by axis."""
     axes = report['axes']
-    bags = ', '.join(PurePath(bag).name for bag in report['bags'])
+    bags = ', '.join(PurePath(bag).name or bag for bag in report['bags'])
     parts = [f'<h1>Identification of {escape(bags)}</h1>']
     if len(axes) > 1:
         links = ''.join(

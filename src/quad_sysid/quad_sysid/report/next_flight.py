@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from quad_sysid.axes import EVERY
+from quad_sysid.model.identified import UNLISTED
 from quad_sysid.pipeline.constants import RIVAL
 from quad_sysid.report.tables import untested
 
@@ -27,7 +28,8 @@ def next_flight(axis: str, tree: Mapping[str, Any]) -> Sequence[Next]:
 
 def _rivals(axis: str, tree: Mapping[str, Any]) -> Iterator[Next]:
     for effect in tree.get('effects', ()):
-        rival = max(effect.get('rivals') or (), key=lambda r: r['probability'], default=None)
+        listed = (r for r in effect.get('rivals') or () if r['name'] != UNLISTED)
+        rival = max(listed, key=lambda r: r['probability'], default=None)
         if rival is not None and rival['probability'] > RIVAL:
             yield Next(
                 f"{effect['name']} ({effect['probability']:.2f}) or {rival['name']} "

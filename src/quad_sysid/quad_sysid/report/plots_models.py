@@ -13,7 +13,7 @@ import numpy as np
 
 from quad_sysid.blackbox import ResidualTest, frequency_response, spa
 from quad_sysid.contract import FloatArray
-from quad_sysid.errors import QuadSysidError
+from quad_sysid.errors import QuadSysidError, p_in_words
 from quad_sysid.loop.from_model import response_of
 from quad_sysid.loop.linear import WIDE, ComplexArray
 from quad_sysid.model.data import Windows
@@ -22,7 +22,7 @@ from quad_sysid.pipeline.constants import Z99
 from quad_sysid.report import canvas
 from quad_sysid.report.canvas import Picture
 from quad_sysid.report.plots_data import trusted, trusted_words
-from quad_sysid.report.words import equals, yes
+from quad_sysid.report.words import yes
 from quad_sysid.units import COMMAND, scale
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def free_run(answer: AxisAnswer) -> Picture | None:
 
 
 def _lively(windows: Windows, rate: FloatArray) -> tuple[int, int]:
-    """First and last of up to SHOWN_WINDOWS windows in a row with the largest motion."""
+    """First and last of up to MOST_WINDOWS windows in a row with the largest motion."""
     power = np.array([np.var(rate[s : s + windows.length]) for s in windows.starts])
     breaks = np.flatnonzero(np.diff(windows.starts) != windows.length) + 1
     rows = [(a, min(a + MOST_WINDOWS, int(piece[-1]) + 1) - 1)
@@ -222,8 +222,8 @@ def correlations(answer: AxisAnswer) -> Picture | None:
 def _words(test: ResidualTest) -> str:
     """What the tests say, in words."""
     white, free = test.residual_white, test.residual_uncorrelated_with_input
-    return (f'white {yes(white)} (p {equals(test.p_white)}), free of past commands {yes(free)} '
-            f'(p {equals(test.p_input)})')
+    return (f'white {yes(white)} (p {p_in_words(test.p_white)}), free of past commands '
+            f'{yes(free)} (p {p_in_words(test.p_input)})')
 
 
 def spectrum(answer: AxisAnswer) -> Picture | None:

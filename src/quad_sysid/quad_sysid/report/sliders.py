@@ -75,7 +75,8 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
         'flown': [float(getattr(flown_gains, field)) for field in TUNED],
         'designed': [float(designed.get(name, getattr(flown_gains, field)))
                      for name, field in zip(names, TUNED, strict=True)] if designed else None,
-        'constants': {**_finite(flown_gains.constants(model.dt)._asdict()),
+        'constants': {**{name: float(np.clip(value, -1e300, 1e300)) for name, value
+                         in flown_gains.constants(model.dt)._asdict().items()},
                       'kff_slope': active.get(f'{axis}.rate.kff_slope', 0.0)},
         'rise_s': STICK_S if f'{axis}.rate.kff_slope' in active else 1e-9,
         'a': _numbers(loops.a[0], 10), 'b': _numbers(loops.b[0], 10),
@@ -85,10 +86,6 @@ def loop_data(model: AxisModel, designed: Mapping[str, float]) -> dict[str, Any]
         'target': _complex(part(angle_kp=1.0, rate_kp=1.0)[1] / error),
         'forward': _complex(part(angle_kp=1.0, kff=1.0)[1]),
     }
-
-
-def _finite(constants: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(np.clip(value, -1e300, 1e300)) for name, value in constants.items()}
 
 
 def _numbers(values: Any, digits: int = 6) -> Any:

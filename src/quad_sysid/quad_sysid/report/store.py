@@ -85,11 +85,7 @@ def _write(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAn
         drawn = {axis: plots.gallery(answer) for axis, answer in answers.items()}
         side_by_side([
             *([partial(plots.save, drawn, folder / 'pictures')] if pictures else []),
-            *([partial(_write_page, folder, report, answers, drawn)] if html else []),
+            *([lambda: write_whole(folder / 'report.html', page(report, answers, drawn))
+               ] if html else []),
         ])
     write_whole(folder / 'report.json', json.dumps(report, indent=1, allow_nan=False) + '\n')
-
-
-def _write_page(folder: Path, report: Mapping[str, Any], answers: Mapping[str, AxisAnswer],
-                drawn: Mapping[str, plots.Gallery]) -> None:
-    write_whole(folder / 'report.html', page(report, answers, drawn))

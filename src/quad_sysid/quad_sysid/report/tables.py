@@ -245,8 +245,9 @@ def explanation(tree: Tree) -> Table:
     rows, answer, rungs = [], None, tree.get('explanation', ())
     names = added([rung['effects'] for rung in rungs])
     for i, (rung, adds) in enumerate(zip(rungs, names, strict=True)):
+        stays = rung['error'] is not None and rung['error'] < RUNAWAY
         rows.append([str(i + 1), adds, f'{rung["explains_pct"]:.0f} %',
-                     number(rung['error'], 4) if rung['error'] < RUNAWAY else 'runs away'])
+                     number(rung['error'], 4) if stays else 'runs away'])
         answer = i if rung.get('answer') and tree['effects'] else answer
     unit = tree['error']['unit']
     claimed = 'No rung is confirmed, and none is claimed as a cause.' if answer is None else (

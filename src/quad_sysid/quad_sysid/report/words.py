@@ -150,11 +150,6 @@ def chance(p: float | None) -> str:
     return '–' if p is None else p_in_words(p).removeprefix('= ')
 
 
-def equals(p: float | None) -> str:
-    """`= 0.03` or `< 0.0001`, to follow `p`."""
-    return '= –' if p is None else p_in_words(p)
-
-
 def lowered(percent: float, *, several: bool = False) -> str:
     """Words on the change of the error by one effect or `several`, from the percentage."""
     end = '' if several else 's'
@@ -295,7 +290,7 @@ def _missing(tree: Tree) -> list[str]:
     for effect in tree['effects']:
         text = f'{named(effect).capitalize()} ({effect["name"]}): {values(effect)}.'
         text += (f' If it predicted nothing, the held-out data would favour it so much with p '
-                 f'{equals(effect["p_value"])}')
+                 f'{p_in_words(effect["p_value"])}')
         rivals = effect.get('rivals') or []
         if rivals:
             best = max(rivals, key=lambda r: r['probability'])
