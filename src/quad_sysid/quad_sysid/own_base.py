@@ -133,10 +133,7 @@ class Base:
         return tuple(s for s in self.states if s not in (self.output, self.position))
 
     def moved(self, x: Values, u: Values, p: Values, dt: float) -> dict[str, Any]:
-        """The derivative of each state, per s; of a `step`, its mean over the cycle.
-
-        Output and position are those at mid-cycle, while a step begins at the start.
-        """
+        """The derivative of each state, per s, at mid-cycle; of a `step`, its mean over it."""
         if self.rhs is not None:
             return dict(self.rhs(x, u, p))
         start, half = dict(x), 0.5 * dt

@@ -190,7 +190,7 @@ def cascade_controller(*, angle_kp: float, rate_kp: float, rate_ki: float, rate_
     characteristic = np.convolve(np.convolve(forward, angle + step), slow)
     return LinearController(P=np.convolve(np.convolve(common, step), slow),
                             R=angle_kp * np.convolve(np.convolve(forward, step), slow),
-                            S=polyadd(characteristic, derivative))
+                            S=np.asarray(polyadd(characteristic, derivative), dtype=float))
 
 
 def indirect(z: IOData, nb: int, nf: int, nk: int, controller: LinearController, *,
@@ -257,7 +257,8 @@ def _evaluate(model: Model, z: IOData, controller: LinearController, ar: FloatAr
 
     Their sum of squares is inf where the loop is not stable or no segment is long enough.
     """
-    loop = polyadd(np.convolve(model.F, controller.P), np.convolve(model.B, controller.S))
+    loop = np.asarray(polyadd(np.convolve(model.F, controller.P),
+                              np.convolve(model.B, controller.S)), dtype=float)
     if loop[0] != 1.0 or np.max(np.abs(np.roots(loop)), initial=0.0) >= 1.0:
         return point_of(model, [], [])
     nb, nf, states, unit = model.B.size - model.nk, model.F.size - 1, loop.size - 1, np.ones(1)
