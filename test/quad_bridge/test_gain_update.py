@@ -429,7 +429,11 @@ def test_a_rollback_to_what_flew_well_is_one_step_and_any_other_goes_by_steps(
     bench.gains.protocol.whole_sets = False  # as of PX4, where gains of both would mix
     list(bench.goes_on(1.0))
     back = {'roll.rate.kp': 0.45, 'rollback': True}
+    news = {'roll.rate.kp': 0.2, 'rollback': True}  # which only a craft that takes gains gets
+    assert [bench.gains.takes_back(it) for it in (back, {'rollback': True}, news)] == [1, 1, 0]
     assert 'in 2 steps' in bench.gains.ask(back, bench.now_s)
+    bench.until('in force')
+    assert bench.gains.takes_back(news)
     bench.until('confirmed')
     monkeypatch.setattr(gate, 'MAX_STEPS', 1)  # however many steps it would be
     with pytest.raises(RefusedError, match='more than 1 steps'):

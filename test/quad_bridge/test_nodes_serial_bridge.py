@@ -6,6 +6,7 @@ import signal
 import time
 from collections import Counter
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from node_process import recorded
 from probe import content, entries, event, stamp_ns
 
 from quad_bridge.gains.table import WIRE_NAMES
+from quad_bridge.nodes.serial_bridge import SerialBridge
 from quad_bridge.topics import NODES
 from quad_bridge.wire import frames as f
 
@@ -23,6 +25,14 @@ STATES = {CONFIGURE: 2, CLEANUP: 1, ACTIVATE: 3, DEACTIVATE: 2, SHUTDOWN: 4}
 """The state behind each transition, which nav2's lifecycle manager asks for at once."""
 LINK, CLOCK, RECORDING = 'serial_bridge: link', 'serial_bridge: clock', 'bag_logger: recording'
 PER_CYCLE = ('/motors/command', '/control/wrench', '/setpoint/rates', '/setpoint/attitude')
+
+
+@pytest.mark.parametrize('takes_back', [True, False])
+def test_only_what_goes_back_is_written_where_the_aircraft_takes_no_gains(takes_back):
+    bridge = MagicMock()
+    bridge._gains.takes_back.return_value = takes_back
+    SerialBridge._ask_gains(bridge, {'rollback': True, 'roll.rate.kp': 0.05})
+    assert bridge._refuse.called is not takes_back
 
 
 @pytest.fixture

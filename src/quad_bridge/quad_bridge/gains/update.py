@@ -228,11 +228,24 @@ class GainUpdates:
         self._begin(request, path, reply)
         return f'writing {len(request.gains)} gains of {request.source} in {len(path)} steps'
 
+    def takes_back(self, parameters: Mapping[str, object]) -> bool:
+        """Whether a request ends a trial or goes back to what flew well, which may be at any time.
+
+        Not one that calls a set of gains that nobody has flown a rollback.
+        """
+        gains = {name: value for name, value in parameters.items()
+                 if name in self.active and isinstance(value, float)}
+        return parameters.get('rollback') is True and (
+            self.state in ON_TRIAL or not gains or self._flew_well(gains))
+
     def _has_flown(self, gains: Mapping[str, float]) -> bool:
-        """Whether the active set with these gains is one that has flown well."""
-        target = {**self.active, **gains}
+        """Whether the active set with these gains has flown well, and is written as a whole."""
         climbs = any(name.startswith('climb.') for name in gains)  # which fly in one mode only
-        return self.protocol.whole_sets and not climbs and any(
+        return self.protocol.whole_sets and not climbs and self._flew_well(gains)
+
+    def _flew_well(self, gains: Mapping[str, float]) -> bool:
+        target = {**self.active, **gains}
+        return any(
             target.keys() == good.keys()
             and all(math.isclose(target[n], value, rel_tol=1e-6) for n, value in good.items())
             for good in self._good

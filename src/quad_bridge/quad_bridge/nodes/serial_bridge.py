@@ -492,7 +492,7 @@ class SerialBridge(ManagedNode):
         if self._port.status.state is PortState.BUSY:  # of two bridges the other one has it
             raise RefusedError(f'{self._settings.port} is {PortState.BUSY.value}')
         with self._lock:
-            if not parameters.get('rollback'):
+            if not self._gains.takes_back(parameters):
                 self._refuse(Ability.GAINS)
             words = self._gains.ask(parameters, clock().now_s(), reply, age_s=age_s)
             self._poll_gains(clock().now_ns())
