@@ -529,10 +529,9 @@ def test_system_id_is_left_before_its_parameters_go_back(flying, case):
     assert bool(words) == bool(sid.refusal)
 
 
-@pytest.mark.parametrize(('name', 'injection', 'signal'), [
-    ('px4', 'attitude', 'prbs'), ('ardupilot', 'attitude', 'prbs'),
-    ('ardupilot', 'control', 'chirp')])
-@pytest.mark.parametrize('flies', [True, False])
+@pytest.mark.parametrize(('name', 'injection', 'signal', 'flies'), [
+    ('px4', 'attitude', 'prbs', True), ('ardupilot', 'attitude', 'prbs', False),
+    ('ardupilot', 'control', 'chirp', True), ('ardupilot', 'control', 'chirp', False)])
 def test_the_mode_that_the_pilot_chooses_between_two_heartbeats_stays(
         flying, name, injection, signal, flies):
     """With the stick that ends the excitation, or just before its mode is asked for."""

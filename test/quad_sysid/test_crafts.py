@@ -46,13 +46,18 @@ def recorded(airframe: Airframe, seed: int, *, speeds: bool = False) -> Record:
                   craft=craft, segments=SEGMENTS, t0_ns=10**18)
 
 
+@pytest.fixture(scope='module')
+def hexa() -> Record:
+    return recorded(HEXA, 3)
+
+
 def model_of(record: Record, *names: str, axis: str = 'roll'):
     few = tuple(effect for effect in EFFECTS if {effect.name, effect.label} & {*names})
     return identify([record], Options(axes=(axis,), effects=few))[axis].model
 
 
-def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(tmp_path, refusal):
-    record = read_bag(write_bag(recorded(HEXA, 3), tmp_path / 'hexa'))
+def test_a_hexacopter_with_a_slow_motor_is_a_bag_like_any_other(hexa, tmp_path, refusal):
+    record = read_bag(write_bag(hexa, tmp_path / 'hexa'))
     assert (record.craft.count, record.motors.shape[1], record.warnings) == (6, 6, ())
     model = model_of(record, 'motor_lag')
     assert [(e.name, e.variant) for e in model.effects] == [('motor_lag', 'motor 4')]
@@ -113,16 +118,15 @@ def test_a_motor_that_stops_slips_or_lags_is_named(tmp_path):
     assert rotors_of(replace(flown, speeds=None)).lines == ()
 
 
-def test_a_description_says_where_motors_are_or_is_left_aside(tmp_path, refusal):
-    record = recorded(HEXA, 3)
-    four = Craft('four', record.craft.motors[:4])
-    bag = write_bag(replace(record, craft=four), tmp_path / 'too few')
+def test_a_description_says_where_motors_are_or_is_left_aside(hexa, tmp_path, refusal):
+    four = Craft('four', hexa.craft.motors[:4])
+    bag = write_bag(replace(hexa, craft=four), tmp_path / 'too few')
     assert '/motors/command is of 6 motors, /robot_description is of 4' in refusal(read_bag, bag)
-    shown = write_bag(replace(record, motors=None, wrench=record.control), tmp_path / 'wrench')
+    shown = write_bag(replace(hexa, motors=None, wrench=hexa.control), tmp_path / 'wrench')
     clipped = read_bag(shown)
     np.testing.assert_allclose(
-        clipped.control, record.craft.control(record.craft.commands(record.control)), atol=1e-12)
-    unknown = replace(record, motors=None, wrench=3.0 * record.control, desaturation='none')
+        clipped.control, hexa.craft.control(hexa.craft.commands(hexa.control)), atol=1e-12)
+    unknown = replace(hexa, motors=None, wrench=3.0 * hexa.control, desaturation='none')
     raw = read_bag(write_bag(unknown, tmp_path / 'none'))
     np.testing.assert_array_equal(raw.control, unknown.wrench)
     assert (raw.motors, raw.desaturation) == (None, 'none')
