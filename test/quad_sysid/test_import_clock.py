@@ -29,19 +29,21 @@ def jittered(share: float) -> np.ndarray:
         (jittered(0.3), 250.0, False, 0.002, 'jitter of 15 % of a cycle'),
         (np.delete(T, [100, 101, 900]), 250.0, True, 1e-12, '2 gaps of 0.012 s in all'),
         (np.sort(np.concatenate([T, T[5::400] + 0.4 * DT])), 250.0, True, 0.01, '10 odd'),
-        (np.delete(T, np.random.default_rng(1).choice(N, N // 3, replace=False)), 166.7, False,
+        (np.delete(T, np.random.default_rng(1).choice(N, N // 3, replace=False)), 62.5, False,
          0.03, 'the rate is uneven'),
         (np.delete(T, np.random.default_rng(1).choice(N, N // 20, replace=False)), 250.0, False,
          0.01, 'the rate is uneven'),
+        (np.delete(T, np.arange(3, N, 4)), 250.0, False, 0.01, 'the rate is uneven'),
         (np.concatenate([T[:1000], T[1000::5]]), 50.0, False, 0.01, 'the rate is uneven'),
         (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 1e-12, 'kept'),
     ],
     ids=['even', 'jitter', 'gaps', 'odd intervals', 'dropped', 'dropped here and there',
-         'two rates', 'drift'],
+         'each fourth', 'two rates', 'drift'],
 )  # fmt: skip
 def test_rates_come_onto_one_grid(times, hz, own, error, words):
     laid = cycles(stream(times), 'a table')
     assert 1.0 / laid.dt == pytest.approx(hz, rel=0.01)
+    assert np.median(np.diff(laid.times)) == pytest.approx(laid.dt, rel=1e-3)
     assert laid.own is own
     known = np.isfinite(laid.values[:, 0])
     assert known.mean() > 0.9

@@ -39,6 +39,8 @@ def test_every_layout_is_found(layout):
     assert [p.text for p in found] == texts
     assert all(p.certain for p in found)
     assert all(p.share > 1.4 * p.rival_share for p in found)
+    later = patterns_of(rates[:-8], motors[8:], DT)  # whatever answers by as much
+    assert min(a.share / b.share for a, b in zip(later, found, strict=True)) > 0.9
     opposite = -np.array(found[0].signs, dtype=float)
     assert share_of(opposite, rates[:, 0], motors, DT) < 0.1 * found[0].share
 

@@ -24,8 +24,6 @@ DELAYS_S = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04)
 """Lags and delays of motors, airframes and telemetry that are tried; the best pair counts."""
 STEP_S = 0.02
 """Span of the rate's change: long against gyro noise, short against a motor's lag."""
-FINEST_S = 0.002
-"""Shortest sample interval; a faster recording is thinned."""
 CRASH = 5.0
 """Robust standard deviations to which angular accelerations are limited, so that a crash, a hand
 or a landing does not outweigh the whole flight."""
@@ -38,9 +36,6 @@ MIN_SHARE = {'angular acceleration': 0.02, 'angle': 0.8}
 FULL_PREFERRED = 1.3
 """Factor by which idle motors must explain more to be accepted, since nonlinear thrust and limits
 let some motors seem weaker."""
-CLEARLY = 1.4
-"""Factor over its rival's share with which a pattern is certain, if it also explains more in three
-quarters of the parts."""
 COMPARABLE, NEAR = 0.85, 0.6
 """Patterns whose signals correlate by NEAR are not rivals. If they also explain the share
 COMPARABLE of the best, the data cannot separate them, and the one in which the motors moved most
@@ -55,9 +50,6 @@ MAX_ROWS = 200_000
 """At most so many samples are compared, in as many parts as there are blocks."""
 MAX_MOTORS = 8
 """All patterns of their signs are compared, whose number grows as a power."""
-PLUS = range(4)
-"""In a plus frame two motors are idle for roll and the other two for pitch; every propeller turns
-the yaw. An idle motor that fits neither hardly moved in the recording."""
 
 
 @dataclass(frozen=True)
@@ -130,24 +122,13 @@ def patterns_of(
     """
     if not 2 <= motors.shape[1] <= MAX_MOTORS:
         return ()
-    thin = max(1, round(FINEST_S / dt))
-    if thin > 1:
-        n = len(rates) // thin * thin
-        motors = motors[:n].reshape(-1, thin, motors.shape[1]).mean(axis=1)
-        rates = rates[:n:thin]
-        angles = None if angles is None else angles[:n:thin]
-        dt *= thin
     rates, motors = _parts(rates), _parts(motors)
     angles = None if angles is None else _parts(angles)
     responses = {
         axis: tuple(_responses(rates[:, i], motors, dt, None if angles is None else angles[:, i]))
         for i, axis in enumerate(AXES)
     }
-    best = _best_of(responses, idle=('roll', 'pitch'))
-    idle = [{i for i, s in enumerate(p.signs) if not s} for p in best if p.axis != 'yaw']
-    if motors.shape[1] == len(PLUS) and any(idle) and sorted(set().union(*idle)) != list(PLUS):
-        best = _best_of(responses, idle=())
-    return best
+    return _best_of(responses, idle=('roll', 'pitch'))  # as motors of a plus frame are
 
 
 def commands_of(
@@ -311,8 +292,7 @@ def _best(axis: str, response: _Response, *, idle: bool) -> Pattern:
     share, other = float(shares[setting, first]), max(float(rivals[rival]), 0.0)
     return Pattern(
         axis, tuple(int(s) for s in signs[first]), share, other,
-        certain=share >= MIN_SHARE[response.name] and share >= CLEARLY * other
-        and won >= MAX_BLOCKS,
+        certain=share >= MIN_SHARE[response.name] and won >= MAX_BLOCKS,
         response=response.name,
     )
 
