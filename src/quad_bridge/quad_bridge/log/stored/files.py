@@ -53,8 +53,7 @@ def storage_in(paths: Iterable[Path]) -> list[Path]:
 
 def missing_parts(files: Sequence[Path]) -> list[str]:
     """A line for each missing part of a split bag, by the recorder's numbers."""
-    stems = [file.name.partition('.')[0] for file in files]
-    numbers = [int(m[1]) for m in (re.search(r'_(\d+)$', stem) for stem in stems) if m]
+    numbers = [int(m[1]) for file in files if (m := re.match(r'[^.]*_(\d+)(?:\.|$)', file.name))]
     if len(numbers) != len(files) or min(numbers) > 0 or max(numbers) > 10_000:
         return []
     absent = sorted(set(range(max(numbers))) - set(numbers))
