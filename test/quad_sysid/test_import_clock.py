@@ -33,7 +33,7 @@ def jittered(share: float) -> np.ndarray:
          0.03, 'the rate is uneven'),
         (np.delete(T, np.random.default_rng(1).choice(N, N // 20, replace=False)), 250.0, False,
          0.01, 'the rate is uneven'),
-        (np.delete(T, np.arange(3, N, 4)), 250.0, False, 0.01, 'the rate is uneven'),
+        (np.delete(T, np.arange(3, N, 4)), 187.5, False, 0.01, 'the rate is uneven'),
         (np.concatenate([T[:1000], T[1000::5]]), 50.0, False, 0.01, 'the rate is uneven'),
         (T * (1.0 + 1e-4 * np.sin(0.5 * T)), 250.0, True, 1e-12, 'kept'),
     ],

@@ -33,6 +33,8 @@ UNEVEN = 0.3
 """An interval this far from the median, as a share of it, is odd."""
 MAX_ODD = 0.03
 """Share of odd intervals up to which each sample keeps its own cycle."""
+FEW_LOST = 0.9
+"""Share of usual intervals among whole multiples of them down to which the grid has all cycles."""
 MAX_JITTER = 0.1
 """Largest jitter, cycles (99 % quantile), with which samples are not interpolated."""
 BLOCK = 16
@@ -271,7 +273,7 @@ def _uneven(steps: FloatArray, interval: float) -> float:
             share = steps / interval
             near = np.abs(share - 1.0) <= UNEVEN
             distance = np.abs(share - np.round(share))
-            if np.quantile(distance, 0.99) <= MAX_JITTER:
+            if near.mean() >= FEW_LOST and np.quantile(distance, 0.99) <= MAX_JITTER:
                 return in_whole_us(float(steps[near].mean()))
             usual = (means >= low) & (means <= high)
             return in_whole_us(float(means[usual].mean()))
