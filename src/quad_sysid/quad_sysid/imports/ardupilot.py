@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -225,21 +224,18 @@ def _load(path: Path) -> Table:
         if ours.startswith('RCOU.C'):
             columns[ours] = np.where(columns[ours] > MAX_PULSE, np.nan, columns[ours])
     initial = {name: value for name, value in log.initial.items() if name in ARDUPILOT.logged}
-    table = Table(str(path), columns, times, header={**log.parameters, **initial},
-                  changed=tuple(log.changed))
     if 'RATE.R' in columns and (log.in_ms or _hundredths(columns)):
         for name in OF_RATES:
             columns[name] = columns.get(name, np.zeros(0)) * 0.01
+    notes = []
     if log.restarts:
-        table = replace(table, notes=(*table.notes, (
-            f'its clock begins anew {log.restarts} times: {log.restarts + 1} flights, placed one '
-            'behind the other')))
-    if not log.skipped:
-        return table
-    what = 'bytes' if binary else 'characters'
-    return replace(table, notes=(*table.notes, (
-        f'damaged: {log.skipped} {what} in {log.bursts} places belong to no whole message and '
-        'are left out')))
+        notes.append(f'its clock begins anew {log.restarts} times: {log.restarts + 1} flights, '
+                     'placed one behind the other')
+    if log.skipped:
+        notes.append(f'damaged: {log.skipped} {"bytes" if binary else "characters"} in '
+                     f'{log.bursts} places belong to no whole message and are left out')
+    return Table(str(path), columns, times, header={**log.parameters, **initial},
+                 changed=tuple(log.changed), notes=tuple(notes))
 
 
 def _hundredths(columns: Mapping[str, FloatArray]) -> bool:

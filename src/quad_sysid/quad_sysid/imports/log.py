@@ -8,7 +8,7 @@ grid. No files.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -199,7 +199,6 @@ class Reading:
     table: Table
     streams: dict[str, Stream] = field(default_factory=dict)
     mapped: list[Mapped] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
 
     def take(self, *signals: Signal) -> None:
         """Take the first of each role whose columns were logged."""
@@ -217,7 +216,8 @@ class Reading:
         largest, why = LARGEST.get(signal.role, (np.inf, ''))
         wrong = (np.abs(stream.values) > largest).any(axis=1)
         if wrong.any():
-            self.notes.append(f'{wrong.sum()} of {wrong.size} {source} left out: {why}')
+            note = f'{wrong.sum()} of {wrong.size} {source} left out: {why}'
+            self.table = replace(self.table, notes=(*self.table.notes, note))
             stream = Stream(stream.time_s[~wrong], stream.values[~wrong])
         self.streams[signal.role] = stream
         self.mapped.append(
@@ -231,7 +231,7 @@ class Reading:
                         if role in first and role not in self.streams]
         no_gains = more.pop('no_gains', NO_GAINS)
         consequences += [] if more.get('gains') else [no_gains]
-        return ForeignLog(self.table.source, kind, clock=(*self.table.notes, *self.notes),
+        return ForeignLog(self.table.source, kind, clock=self.table.notes,
                           **{'rates': None, **self.streams, **more},
                           mapped=tuple(self.mapped), missing=tuple(consequences))
 

@@ -163,7 +163,12 @@ def _load(path: Path) -> Table:
         columns |= {f'{data.name}.{name}': np.asarray(values, dtype=float)
                     for name, values in fields.items()}
         times |= dict.fromkeys(within(data.name, *fields), stamps * 1e-6)
-    anew = _to_reboot(columns, times)
+    anew = max((len(restarts({name: np.arange(stamps.size)}, {name: stamps}))
+                for name, stamps in times.items()), default=0)
+    for name, stamps in times.items() if anew else ():
+        steps_back = np.flatnonzero(np.diff(stamps) < -RESTART_S)
+        rows = slice(int(steps_back[0]) + 1 if steps_back.size else None)
+        columns[name], times[name] = columns[name][rows], stamps[rows]
     parameters = {
         str(name): float(value) for name, value in log.initial_parameters.items()
         if isinstance(value, int | float)
@@ -179,17 +184,6 @@ def _load(path: Path) -> Table:
                     if isinstance(value, int | float))
     return Table(str(path), columns, times, header=parameters, changed=changed,
                  notes=tuple(notes))
-
-
-def _to_reboot(columns: dict[str, FloatArray], times: dict[str, FloatArray]) -> int:
-    """Cut what was logged where its clock begins anew; how often it does."""
-    anew = max((len(restarts({name: np.arange(stamps.size)}, {name: stamps}))
-                for name, stamps in times.items()), default=0)
-    for name, stamps in times.items() if anew else ():
-        steps_back = np.flatnonzero(np.diff(stamps) < -RESTART_S)
-        rows = slice(int(steps_back[0]) + 1 if steps_back.size else None)
-        columns[name], times[name] = columns[name][rows], stamps[rows]
-    return anew
 
 
 def _cut(ulog: bytes) -> bool:
