@@ -183,7 +183,8 @@ def _within(model: Identified, commands: FloatArray, rate: float,
 def _flown(model: Identified, commands: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(w, n) measured rates and angles for commands (w, n) from rest, all side by side."""
     usual, n = usual_signals(model), commands.shape[1]
-    around = Signals.at_rest(model.dt * (np.arange(n) + 0.5), np.full(n, usual['throttle']),
+    times = np.asarray(model.dt * (np.arange(n) + 0.5), dtype=np.float64)
+    around = Signals.at_rest(times, np.full(n, usual['throttle']),
                              battery_v=np.full(n, usual['battery']))
     run = simulate_cascade(Flying(plant_of(model), around, steady=False), NO_GAINS, np.zeros(n),
                            model.dt, control_excitation=commands)
