@@ -85,7 +85,10 @@ static uint8_t confirm(quad_gains *gains)
         return QUAD_GAINS_RESULT_NOT_FLOWN;
     }
     copy_set(gains->good, gains->active);
-    gains->confirmations += gains->watching ? 1u : 0u; /* else it is repeated after a lost answer */
+    if (gains->watching || gains->confirmed != gains->transaction) { /* else repeated after a lost answer */
+        gains->confirmations++;
+    }
+    gains->confirmed = gains->transaction;
     gains->watching = false;
     return QUAD_GAINS_RESULT_OK;
 }

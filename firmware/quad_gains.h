@@ -19,7 +19,7 @@ typedef struct {
     float good[QUAD_PARAMETERS]; /* to be kept in flash when `confirmations` has changed */
     float copy[QUAD_PARAMETERS];
     bool staging, watching;
-    uint8_t transaction;
+    uint8_t transaction, confirmed; /* the running one, and the last that was confirmed */
     uint32_t confirmations;
     uint64_t watch_us, flown_us; /* the set on trial: its watch, and the time it has flown */
     uint64_t ticked_us, heard_us;

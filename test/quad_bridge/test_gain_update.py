@@ -234,6 +234,7 @@ class Walk:
         self.faults -= 1
         self.stm32, before = self.stm32.restarted(), self.gains.state
         self.gains.restarted()
+        assert self.gains.state is not State.CHECKING  # another one would get its pulses
         if before in {*STOPPED_IN, State.REVERTING}:  # all that is known, whatever was in force
             assert 'link lost: which gains are in force is read' in self.gains.refused
 

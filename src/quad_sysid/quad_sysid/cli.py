@@ -326,7 +326,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     }
     if options.json:
         unanswered = {'not_answered': refused} if refused else {}
-        print(json.dumps({'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered}))
+        print(json.dumps(document.plain(  # without numbers that are not finite
+            {'schema': 'quad_sysid/evaluation/1', 'axes': axes, **unanswered})))
         return 0
     for e in () if options.quiet else evaluations:
         tree = {**axes[e.axis], 'effects': models[e.axis].effects}

@@ -335,6 +335,7 @@ class GainUpdates:
     def restarted(self) -> None:
         """Handle a restart of the STM32, or another one."""
         self._good = []
+        self.disturb('the aircraft has begun again')
         self.protocol.restart()
         self._take_events()
 
