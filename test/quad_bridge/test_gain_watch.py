@@ -11,8 +11,6 @@ from quad_bridge.virtual.receiver import Event
 
 DT = 0.004
 STILL = np.zeros(3)
-
-
 INERTIA = np.array([0.0135, 0.0140, 0.008])
 
 

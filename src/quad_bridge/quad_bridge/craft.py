@@ -204,8 +204,8 @@ def from_urdf(text: str) -> Craft | None:
     except ET.ParseError as error:
         raise ValueError(f'is no XML: {error}') from error
     joints = [*robot.iter('joint')]
-    numbered = {int(found[1]): joint for joint in joints
-                if (found := re.fullmatch(f'{JOINT}([0-9]+)', joint.get('name', '')))}
+    numbered = {int(match[1]): joint for joint in joints
+                if (match := re.fullmatch(f'{JOINT}([0-9]+)', joint.get('name', '')))}
     numbers = sorted(numbered)
     if not numbers:
         return None

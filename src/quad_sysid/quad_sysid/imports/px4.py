@@ -152,6 +152,7 @@ def _load(path: Path) -> Table:
                             f'{path.stat().st_size} bytes', 'copy it again from the aircraft')
     columns: dict[str, FloatArray] = {}
     times: dict[str, FloatArray] = {}
+    anew = 0
     for data in {data.name: data for data in reversed(log.data_list)}.values():
         fields = data.data
         if 'q_d[0]' in fields:  # all zeros where the controller runs without a set-point
@@ -163,8 +164,7 @@ def _load(path: Path) -> Table:
         columns |= {f'{data.name}.{name}': np.asarray(values, dtype=float)
                     for name, values in fields.items()}
         times |= dict.fromkeys(within(data.name, *fields), stamps * 1e-6)
-    anew = max((len(restarts({name: np.arange(stamps.size)}, {name: stamps}))
-                for name, stamps in times.items()), default=0)
+        anew = max(anew, len(restarts({'': np.arange(stamps.size)}, {'': stamps * 1e-6})))
     for name, stamps in times.items() if anew else ():
         steps_back = np.flatnonzero(np.diff(stamps) < -RESTART_S)
         rows = slice(int(steps_back[0]) + 1 if steps_back.size else None)
